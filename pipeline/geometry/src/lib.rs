@@ -1,0 +1,1 @@
+//! Rigid transforms, cameras, kinematics, meshes and the mesh rasteriser.

@@ -1,0 +1,1 @@
+//! Manifest, plan, cache keys, executors, ledger and report.

@@ -1,0 +1,1 @@
+//! The program `rogs`: one command line over the orchestrator and the stages.

@@ -1,0 +1,1 @@
+//! Gaussian fields, spherical harmonics and the differentiable rasteriser.

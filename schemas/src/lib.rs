@@ -1,0 +1,16 @@
+//! Everything that lies on disk between the stages of rogs: the chunk container (`.r4c`), the records in it, cache keys
+//! and provenance, and the worker protocol. This crate knows no other crate of the workspace.
+
+pub mod error;
+pub mod key;
+pub mod pose;
+pub mod protocol;
+pub mod r4c;
+pub mod record;
+pub mod records;
+pub mod units;
+
+pub use error::{Error, Result};
+pub use key::{CacheKey, ContentHash, KeyMaterial, Provenance, canonical_json};
+pub use pose::{Intrinsics, RigidPose};
+pub use record::{FileInfo, Record, SchemaId, read_record, write_record};

@@ -1,0 +1,73 @@
+//! Writing and reading records: the only way data gets into and out of a container file.
+
+use std::path::Path;
+
+use crate::error::Result;
+use crate::key::{ContentHash, Provenance};
+use crate::r4c::{Reader, Writer};
+
+/// Name and version of a record schema.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SchemaId {
+    /// Name, for example `rogs.clip`.
+    pub name: &'static str,
+    /// Breaking version.
+    pub major: u16,
+    /// Additive version.
+    pub minor: u16,
+}
+
+impl std::fmt::Display for SchemaId {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} {}.{}", self.name, self.major, self.minor)
+    }
+}
+
+/// A type that lies on disk as one container file.
+pub trait Record: Sized {
+    /// Its schema.
+    const SCHEMA: SchemaId;
+
+    /// Adds the record's streams to the writer.
+    ///
+    /// # Errors
+    /// When arrays do not have the sizes that the record's own counts say.
+    fn encode(&self, writer: &mut Writer) -> Result<()>;
+
+    /// Rebuilds the record from the streams.
+    ///
+    /// # Errors
+    /// When a stream is missing, damaged, or contradicts the others.
+    fn decode(reader: &Reader) -> Result<Self>;
+}
+
+/// What a file says besides its record.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FileInfo {
+    /// How it was made.
+    pub provenance: Provenance,
+    /// Hash of its decoded content.
+    pub content: ContentHash,
+}
+
+/// Writes a record beside its place, flushes it to disk and renames it, so that no reader meets half a file.
+///
+/// # Errors
+/// On I/O errors and on records whose arrays contradict each other; nothing is left at `path` then.
+pub fn write_record<T: Record>(path: &Path, record: &T, provenance: &Provenance) -> Result<FileInfo> {
+    let mut writer = Writer::new(T::SCHEMA, provenance);
+    record.encode(&mut writer)?;
+    let content = writer.commit(path)?;
+    Ok(FileInfo { provenance: provenance.clone(), content })
+}
+
+/// Reads and checks a record.
+///
+/// # Errors
+/// When the file is missing, damaged, of another schema, or of a newer version.
+pub fn read_record<T: Record>(path: &Path) -> Result<(T, FileInfo)> {
+    let reader = Reader::open(path)?;
+    reader.expect_schema(T::SCHEMA)?;
+    let record = T::decode(&reader)?;
+    Ok((record, FileInfo { provenance: reader.provenance().clone(), content: reader.content_hash() }))
+}

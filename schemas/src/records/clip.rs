@@ -1,0 +1,173 @@
+//! The clip: one fixed interval of one episode, with its cameras, robot states and references.
+
+use serde::{Deserialize, Serialize};
+
+use crate::pose::{Intrinsics, RigidPose};
+
+/// One clip, written by `ingest`. Frames are counted inside the clip: `0..frame_count()`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Clip {
+    /// Safe name of the clip (`[A-Za-z0-9._+-]{1,128}`), unique in a run.
+    pub clip_id: String,
+    /// Episode id of the dataset (a DROID uuid where there is one).
+    pub episode_id: String,
+    /// Which importer read it: `rogs-episode`, `droid-ctrlworld`, `lerobot-v2.1`, `lerobot-v3.0`.
+    pub layout: String,
+    /// Language instruction; may be empty.
+    pub task: String,
+    /// Where the calibration comes from and how far to trust it, in words for the report.
+    pub calibration_note: String,
+    /// Frames per second of the clip.
+    pub fps: f64,
+    /// Index in the episode of every clip frame. `[F]`
+    pub episode_frames: Vec<u32>,
+    /// Source times as clip frames, ascending (default 0, 4, 8, 12, 16).
+    pub source_frames: Vec<u32>,
+    /// Distinct query times as clip frames, ascending (`scoring.md` section 3).
+    pub query_frames: Vec<u32>,
+    /// Anchor time of displacement scores, a clip frame.
+    pub anchor_frame: u32,
+    /// Image height of every camera, pixels.
+    pub height: u32,
+    /// Image width of every camera, pixels.
+    pub width: u32,
+    /// Source cameras first (wrist, ext1, ext2), then evaluation cameras.
+    pub cameras: Vec<ClipCamera>,
+    /// Robot states at every frame.
+    pub robot: RobotStates,
+    /// 3D tracks, where the episode has them.
+    pub tracks: Option<Tracks>,
+}
+
+/// What a camera is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum CameraRole {
+    /// Its images are reconstruction inputs (left eyes).
+    Source,
+    /// Held out: renders are compared with it, it is never an input (right eyes).
+    Evaluation,
+}
+
+/// How the pose of a camera is known. All poses are camera-to-something, OpenCV camera axes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum CameraMount {
+    /// One pose for the whole clip.
+    Fixed {
+        /// Camera-to-base.
+        base_from_camera: RigidPose,
+    },
+    /// A supplied pose for every clip frame.
+    Trajectory {
+        /// Camera-to-base. `[F]`
+        base_from_camera: Vec<RigidPose>,
+    },
+    /// Rigid to a robot link; the pose follows from forward kinematics (`robot-maps` resolves it).
+    HandEye {
+        /// Name of the URDF link.
+        link: String,
+        /// Camera-to-link.
+        link_from_camera: RigidPose,
+    },
+}
+
+/// One camera of a clip with its images and references, all at the clip's resolution.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ClipCamera {
+    /// Name: `wrist`, `ext1`, `ext2`, and for right eyes `wrist_right`, `ext1_right`, `ext2_right`.
+    pub id: String,
+    /// Input or held out.
+    pub role: CameraRole,
+    /// For an evaluation camera: index of the source camera whose stereo partner it is.
+    pub partner: Option<u32>,
+    /// Intrinsics at the clip's resolution.
+    pub intrinsics: Intrinsics,
+    /// Pose.
+    pub mount: CameraMount,
+    /// RGB, 8 bit. `[F, H, W, 3]`; `None` when the episode has no images of this camera (nothing to compare with).
+    pub rgb: Option<Vec<u8>>,
+    /// Reference depth, where there is any.
+    pub depth: Option<DepthReference>,
+}
+
+/// Reference depth of one camera (stereo estimate or exact): camera z in metres.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DepthReference {
+    /// Camera-z depth, metres, NaN where unknown. `[F, H, W]`
+    pub depth_m: Vec<f32>,
+    /// Depths outside this open interval are not scored, metres (default 0.1 to 5).
+    pub range_m: [f32; 2],
+}
+
+/// Joint and gripper states at every clip frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RobotStates {
+    /// Names of the driven arm joints, as in the URDF. `[J]`
+    pub joint_names: Vec<String>,
+    /// Joint positions, radians (metres for prismatic joints). `[F, J]`
+    pub positions: Vec<f64>,
+    /// Normalised gripper state in [0, 1]: 0 open, 1 closed. `[F]`
+    pub gripper: Vec<f64>,
+}
+
+/// 3D point tracks in the robot base frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tracks {
+    /// Clip frame in which the anchor pixels lie.
+    pub anchor_frame: u32,
+    /// Index of the (source) camera of each track's anchor pixel. `[K]`
+    pub camera: Vec<u32>,
+    /// Anchor pixel `(x, y)` with INTEGER pixel centres: pixel (column j, row i) has its centre at (j, i), as the
+    /// scorer's nearest-pixel rule `floor(x + 0.5)` expects. `[K, 2]`
+    pub pixel: Vec<f32>,
+    /// Positions in the base frame, metres, NaN where undefined. `[K, F, 3]`
+    pub position_m: Vec<f32>,
+    /// 1 where the point is visible in its anchor camera at that frame. `[K, F]`
+    pub visible: Vec<u8>,
+}
+
+impl Clip {
+    /// Number of frames of the clip (17 by default).
+    #[must_use]
+    pub fn frame_count(&self) -> usize {
+        self.episode_frames.len()
+    }
+
+    /// Indices of the source cameras, in order.
+    #[must_use]
+    pub fn source_cameras(&self) -> Vec<u32> {
+        let is_source = |(index, camera): (usize, &ClipCamera)| (camera.role == CameraRole::Source).then_some(index as u32);
+        self.cameras.iter().enumerate().filter_map(is_source).collect()
+    }
+
+    /// The times at which a field must be known to score this clip: source, query and anchor frames, ascending.
+    #[must_use]
+    pub fn field_frames(&self) -> Vec<u32> {
+        let mut frames: Vec<u32> = self.source_frames.iter().chain(&self.query_frames).copied().collect();
+        frames.push(self.anchor_frame);
+        frames.sort_unstable();
+        frames.dedup();
+        frames
+    }
+
+    /// Source views in the order of the Stage-1 tokens: camera-major, source cameras in order, times ascending.
+    #[must_use]
+    pub fn source_views(&self) -> Vec<SourceView> {
+        let frames = &self.source_frames;
+        self.source_cameras().iter().flat_map(|&camera| frames.iter().map(move |&frame| SourceView { camera, frame })).collect()
+    }
+}
+
+/// One source image: a camera of the clip at a clip frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct SourceView {
+    /// Index into the clip's cameras.
+    pub camera: u32,
+    /// Clip frame.
+    pub frame: u32,
+}
+
+/// Normalised time in [0, 1] of a clip frame: frame / (frame count - 1), so that 17 frames give k/16 exactly.
+#[must_use]
+pub fn time_of_frame(frame: u32, frame_count: usize) -> f64 {
+    if frame_count <= 1 { 0.0 } else { f64::from(frame) / (frame_count - 1) as f64 }
+}

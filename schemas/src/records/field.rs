@@ -1,0 +1,131 @@
+//! The Stage-1 field: one Gaussian per source pixel, with its displacement and attributes at query times.
+
+use serde::{Deserialize, Serialize};
+
+use crate::pose::RigidPose;
+use crate::records::clip::SourceView;
+
+/// Raw attributes per Gaussian: colour 3, scale 3, rotation (w, x, y, z) 4, opacity 1, before activation.
+pub const RAW_CHANNELS: usize = 11;
+
+/// A time-queryable field, written by `lift`. `N = S * H * W`; Gaussian `n` is pixel `(row, column)` of source view `s`
+/// with `n = (s * H + row) * W + column`, and keeps that identity at all times.
+///
+/// Lengths are metres in the reconstruction frame. The raw scale is a pre-activation whose activated value
+/// `min(0.3, 0.001 * softplus(raw))` is in internal units (`stage1-network.md` section 7).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Field {
+    /// The clip this belongs to.
+    pub clip_id: String,
+    /// Number of frames of the clip; normalised time is frame / (frame_count - 1).
+    pub frame_count: u32,
+    /// Image height of the source views, pixels.
+    pub height: u32,
+    /// Image width of the source views, pixels.
+    pub width: u32,
+    /// Source views in token order (camera-major, times ascending). `[S]`
+    pub views: Vec<SourceView>,
+    /// H, base-to-reconstruction.
+    pub recon_from_base: RigidPose,
+    /// What the weights were that made it.
+    pub weights: WeightsInfo,
+    /// Source positions p, reconstruction frame, metres. `[N, 3]`
+    pub position_m: Vec<f32>,
+    /// Base attributes, raw. `[N, RAW_CHANNELS]`
+    pub base_raw: Vec<f32>,
+    /// 1 where the Gaussian is anchored on the robot mesh. `[N]`
+    pub support: Vec<u8>,
+    /// Link id of anchored Gaussians, `NO_LINK` elsewhere. `[N]`
+    pub link: Vec<u8>,
+    /// Cap of each activated scale axis, internal units; infinite where there is none (the anchored footprint). `[N]`
+    pub scale_cap_iu: Vec<f32>,
+    /// The field at stored times, ascending in time.
+    pub slices: Vec<TimeSlice>,
+    /// What the motion heads need to answer other times without the backbone; empty when it was not kept.
+    pub query_state: Vec<NamedArray>,
+}
+
+/// The field at one time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TimeSlice {
+    /// Normalised time in [0, 1].
+    pub time: f64,
+    /// Centre displacement d(t), metres, reconstruction frame. The centre is `position_m + displacement_m`. `[N, 3]`
+    pub displacement_m: Vec<f32>,
+    /// Motion gates: bit 0, colour, scale and rotation take the query-time value; bit 1, opacity does. `[N]`
+    pub gate: Vec<u8>,
+    /// Query-time raw attributes of the Gaussians whose gate is not 0, in index order. `[M, RAW_CHANNELS]`
+    pub moving_raw: Vec<f32>,
+}
+
+/// Bit of [`TimeSlice::gate`]: colour, scale and rotation take the query-time value.
+pub const GATE_ATTRIBUTES: u8 = 1;
+/// Bit of [`TimeSlice::gate`]: opacity takes the query-time value.
+pub const GATE_OPACITY: u8 = 2;
+
+/// Where network weights came from; printed in reports.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WeightsInfo {
+    /// True when the weights are trained; false for seeded random weights, which lift nothing.
+    pub trained: bool,
+    /// Configuration name: `full`, `compact`, ...
+    pub configuration: String,
+    /// For people: file name and provenance, or the seed.
+    pub description: String,
+    /// BLAKE3 of the weights file, hex; empty for seeded weights.
+    pub hash: String,
+}
+
+/// A named f32 array of any shape.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NamedArray {
+    /// Name, ASCII.
+    pub name: String,
+    /// Shape, row-major.
+    pub shape: Vec<u32>,
+    /// Values.
+    pub data: Vec<f32>,
+}
+
+impl Field {
+    /// Number of Gaussians.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.views.len() * self.height as usize * self.width as usize
+    }
+
+    /// True when there is no Gaussian.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The stored slice at exactly this normalised time.
+    #[must_use]
+    pub fn slice_at(&self, time: f64) -> Option<&TimeSlice> {
+        self.slices.iter().find(|slice| slice.time == time)
+    }
+}
+
+impl TimeSlice {
+    /// Raw attributes of every Gaussian at this time: query-time values where the gate is open, base values elsewhere.
+    /// `[N, RAW_CHANNELS]`
+    #[must_use]
+    pub fn raw(&self, base_raw: &[f32]) -> Vec<f32> {
+        let mut raw = base_raw.to_vec();
+        let mut moving = self.moving_raw.chunks_exact(RAW_CHANNELS);
+        for (attributes, &gate) in raw.chunks_exact_mut(RAW_CHANNELS).zip(&self.gate) {
+            if gate == 0 {
+                continue;
+            }
+            let Some(values) = moving.next() else { break };
+            if gate & GATE_ATTRIBUTES != 0 {
+                attributes[..10].copy_from_slice(&values[..10]);
+            }
+            if gate & GATE_OPACITY != 0 {
+                attributes[10] = values[10];
+            }
+        }
+        raw
+    }
+}

@@ -1,0 +1,8 @@
+//! The records that pass from stage to stage, one module each.
+
+pub mod clip;
+pub mod conditioning;
+pub mod field;
+pub mod refinement;
+pub mod robot;
+pub mod scores;

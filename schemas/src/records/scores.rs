@@ -1,0 +1,109 @@
+//! Scores of one field on one clip, with the renders they were measured on.
+
+use serde::{Deserialize, Serialize};
+
+/// Written by `score`. A metric that cannot be measured is `None`, never 0 (`scoring.md` section 11).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scores {
+    /// Numbers.
+    pub summary: ScoreSheet,
+    /// Renders at the query plan, empty when they were not kept.
+    pub renders: Vec<RenderedView>,
+}
+
+/// Every number of one clip and method.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ScoreSheet {
+    /// The clip.
+    pub clip_id: String,
+    /// Method name of the table row, for example `stage1` or `stage1+2`.
+    pub method: String,
+    /// `recorded` or `rollout`.
+    pub setting: String,
+    /// SSIM variant name.
+    pub ssim_variant: String,
+    /// Why LPIPS is missing, if it is.
+    pub lpips_note: Option<String>,
+    /// What the weights behind the field were.
+    pub weights: Vec<crate::records::field::WeightsInfo>,
+    /// Per (camera, query frame).
+    pub images: Vec<ImageScore>,
+    /// Per (anchor, query frame): displacement errors.
+    pub tracks: Vec<TrackScore>,
+    /// Per query frame: robot depth errors.
+    pub robot_depth: Vec<RobotDepthScore>,
+    /// Number of (camera, time) pairs whose depth support was empty.
+    pub n_empty_support: u32,
+    /// Gaussians dropped as invalid by the rasteriser, largest count over the renders.
+    pub invalid_gaussians: u64,
+}
+
+/// Scores of one rendered image.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ImageScore {
+    /// Camera id.
+    pub camera: String,
+    /// True for source cameras, false for held-out (novel) ones.
+    pub source_view: bool,
+    /// Clip frame.
+    pub frame: u32,
+    /// PSNR, dB.
+    pub psnr: Option<f64>,
+    /// SSIM.
+    pub ssim: Option<f64>,
+    /// LPIPS-VGG.
+    pub lpips: Option<f64>,
+    /// Depth AbsRel.
+    pub absrel: Option<f64>,
+    /// Depth RMSE, metres.
+    pub rmse_m: Option<f64>,
+    /// Depth delta1 as a fraction in 0..=1.
+    pub delta1: Option<f64>,
+    /// AbsRel after per-image median scaling (diagnostic).
+    pub absrel_scaled: Option<f64>,
+    /// AbsRel on reference depths between 1.5 and 5 m.
+    pub far_absrel: Option<f64>,
+    /// Pixels of depth support.
+    pub support_n: u64,
+}
+
+/// Robot displacement error of one (anchor, query) pair.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TrackScore {
+    /// Anchor clip frame.
+    pub anchor: u32,
+    /// Query clip frame.
+    pub frame: u32,
+    /// End-point error of displacements, millimetres.
+    pub epe_mm: Option<f64>,
+    /// Tracks it was pooled over.
+    pub n_tracks: u64,
+}
+
+/// Robot depth error of one query time.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RobotDepthScore {
+    /// Query clip frame.
+    pub frame: u32,
+    /// Mean absolute depth error on the robot core, millimetres.
+    pub robot_depth_mm: Option<f64>,
+    /// Pixels of the core.
+    pub core_n: u64,
+}
+
+/// One render kept for people to look at; scores are computed on the unquantised render.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RenderedView {
+    /// Camera id.
+    pub camera: String,
+    /// Clip frame.
+    pub frame: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// Width, pixels.
+    pub width: u32,
+    /// RGB, 8 bit. `[H, W, 3]`
+    pub rgb: Vec<u8>,
+    /// Expected camera-z depth, metres, 0 where nothing was hit. `[H, W]`
+    pub depth_m: Vec<f32>,
+}

@@ -1,0 +1,1 @@
+//! Conditioning: FK conditioning maps per source view, source time and query time.

@@ -1,0 +1,1 @@
+//! Ingest: episode folder of any supported layout to clip.

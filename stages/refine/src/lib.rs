@@ -1,0 +1,1 @@
+//! Refine (Stage 2): displacement-preserving refinement by rendering feedback.

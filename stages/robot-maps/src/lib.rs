@@ -1,0 +1,1 @@
+//! Robot maps: link transforms, mesh depth and link ids per camera and time.

@@ -1,0 +1,1 @@
+//! Score: render the field at the query plan, measure, write scores.

@@ -1,0 +1,1 @@
+//! Synth: procedural robot episodes with exact references.

@@ -1,0 +1,1 @@
+//! Golden-file stage tests, end-to-end, crash and corruption tests over the real programs.
