@@ -1,0 +1,1 @@
+//! LPIPS-VGG image distance.

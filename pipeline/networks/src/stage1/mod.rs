@@ -1,0 +1,1 @@
+//! The Stage-1 lifting network (`stage1-network.md`).

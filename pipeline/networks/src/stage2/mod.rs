@@ -1,0 +1,1 @@
+//! The Stage-2 refiner (`stage2-network.md`).
