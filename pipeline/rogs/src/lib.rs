@@ -1,1 +1,0 @@
-//! The program `rogs`: one command line over the orchestrator and the stages.

@@ -1,0 +1,3 @@
+//! The program `rogs`.
+
+fn main() {}

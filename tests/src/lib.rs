@@ -1,1 +1,0 @@
-//! Golden-file stage tests, end-to-end, crash and corruption tests over the real programs.
