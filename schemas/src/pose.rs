@@ -16,8 +16,10 @@ pub struct RigidPose {
 
 impl RigidPose {
     /// The identity transform.
-    pub const IDENTITY: Self =
-        Self { rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], translation: [0.0, 0.0, 0.0] };
+    pub const IDENTITY: Self = Self {
+        rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        translation: [0.0, 0.0, 0.0],
+    };
 }
 
 /// Pinhole intrinsics in pixels of the stored image; pixel `(column, row)` has its centre at `(column + 0.5, row + 0.5)`.

@@ -58,7 +58,10 @@ pub fn write_record<T: Record>(path: &Path, record: &T, provenance: &Provenance)
     let mut writer = Writer::new(T::SCHEMA, provenance);
     record.encode(&mut writer)?;
     let content = writer.commit(path)?;
-    Ok(FileInfo { provenance: provenance.clone(), content })
+    Ok(FileInfo {
+        provenance: provenance.clone(),
+        content,
+    })
 }
 
 /// Reads and checks a record.
@@ -69,5 +72,11 @@ pub fn read_record<T: Record>(path: &Path) -> Result<(T, FileInfo)> {
     let reader = Reader::open(path)?;
     reader.expect_schema(T::SCHEMA)?;
     let record = T::decode(&reader)?;
-    Ok((record, FileInfo { provenance: reader.provenance().clone(), content: reader.content_hash() }))
+    Ok((
+        record,
+        FileInfo {
+            provenance: reader.provenance().clone(),
+            content: reader.content_hash(),
+        },
+    ))
 }

@@ -135,7 +135,8 @@ impl Clip {
     /// Indices of the source cameras, in order.
     #[must_use]
     pub fn source_cameras(&self) -> Vec<u32> {
-        let is_source = |(index, camera): (usize, &ClipCamera)| (camera.role == CameraRole::Source).then_some(index as u32);
+        let is_source =
+            |(index, camera): (usize, &ClipCamera)| (camera.role == CameraRole::Source).then_some(index as u32);
         self.cameras.iter().enumerate().filter_map(is_source).collect()
     }
 
@@ -153,7 +154,10 @@ impl Clip {
     #[must_use]
     pub fn source_views(&self) -> Vec<SourceView> {
         let frames = &self.source_frames;
-        self.source_cameras().iter().flat_map(|&camera| frames.iter().map(move |&frame| SourceView { camera, frame })).collect()
+        self.source_cameras()
+            .iter()
+            .flat_map(|&camera| frames.iter().map(move |&frame| SourceView { camera, frame }))
+            .collect()
     }
 }
 
@@ -169,5 +173,9 @@ pub struct SourceView {
 /// Normalised time in [0, 1] of a clip frame: frame / (frame count - 1), so that 17 frames give k/16 exactly.
 #[must_use]
 pub fn time_of_frame(frame: u32, frame_count: usize) -> f64 {
-    if frame_count <= 1 { 0.0 } else { f64::from(frame) / (frame_count - 1) as f64 }
+    if frame_count <= 1 {
+        0.0
+    } else {
+        f64::from(frame) / (frame_count - 1) as f64
+    }
 }
