@@ -1,9 +1,23 @@
 //! The Stage-2 correction: time-shared residuals of a field, and nothing else.
 
+use serde::{Deserialize, Serialize};
+
 use crate::key::CacheKey;
+use crate::records::field::NamedArray;
 
 /// Residual channels per Gaussian: position 3, scale 3, rotation 4, opacity 1, SH 48 (16 of R, then G, then B).
 pub const RESIDUAL_CHANNELS: usize = 59;
+
+/// How the scale residual of a Gaussian is meant.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ScaleResidual {
+    /// Added to the pre-activation of Stage 1: `min(0.3, 0.001 softplus(raw + residual))`, internal units.
+    #[default]
+    PreActivation,
+    /// Added to the standard deviation: `max(1e-6, scale + residual)`, internal units.
+    Linear,
+}
 
 /// Written by `refine`. It holds no displacement: displacements stay those of the field, bit for bit, because the
 /// corrected centre at time t is `(position_m + delta) + displacement_m(t)` (paper, equations 8 and 9).
@@ -21,8 +35,12 @@ pub struct Refinement {
     pub preset: String,
     /// What the weights were that made it.
     pub weights: crate::records::field::WeightsInfo,
+    /// How the scale residuals are meant.
+    pub scale_residual: ScaleResidual,
     /// Accumulated corrections after some updates, ascending; the last is the result, the others are kept on request.
     pub steps: Vec<RefinementStep>,
+    /// The hidden state after the last step, from which another run can continue; empty when it was not kept.
+    pub resume_state: Vec<NamedArray>,
 }
 
 /// Accumulated corrections after `update` updates.
