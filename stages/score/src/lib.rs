@@ -1,1 +1,3 @@
 //! Score: render the field at the query plan, measure, write scores.
+
+pub mod metrics;

@@ -1,0 +1,323 @@
+//! Structural similarity with the 11-tap Gaussian window, in the three variants in use (`scoring.md` section 4).
+//!
+//! The windowed means of x, y, xy and x^2 + y^2 are all that the index needs (the two variances only occur as a sum), so
+//! four maps are filtered instead of five. Rows are filtered with the channels interleaved: a tap of the horizontal pass
+//! is three values away, and every loop runs over contiguous memory.
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::metrics::image::{MetricError, RgbView, fold_lanes, same_size};
+
+const TAPS: usize = 11;
+const RADIUS: usize = TAPS / 2;
+const SIGMA: f64 = 1.5;
+const C1: f64 = 0.01 * 0.01;
+const C2: f64 = 0.03 * 0.03;
+/// Output rows of one parallel task. Fixed, because it sets the order of the sum.
+const BAND: usize = 24;
+/// Filtered maps: x, y, x^2 + y^2, xy.
+const MAPS: usize = 4;
+const CHANNELS: usize = 3;
+
+/// Which of the SSIM definitions in use. They differ in the third decimal; a table names the one it holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum SsimVariant {
+    /// scikit-image with Gaussian weights and its default sample covariance (factor 121/120), mean over the interior.
+    /// What the ReSplat and DepthSplat evaluations report, and the default here.
+    #[default]
+    SkimageSampleCov,
+    /// Population covariance, mean over the interior: scikit-image with `use_sample_covariance=False`, pytorch-msssim.
+    Skimage,
+    /// Population covariance, reflect padding, mean over the whole map: torchmetrics.
+    Torchmetrics,
+}
+
+impl SsimVariant {
+    /// The name stored in result files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::SkimageSampleCov => "skimage-sample-cov",
+            Self::Skimage => "skimage",
+            Self::Torchmetrics => "torchmetrics",
+        }
+    }
+
+    /// Factor on the covariances.
+    fn covariance_factor(self) -> f64 {
+        match self {
+            Self::SkimageSampleCov => (TAPS * TAPS) as f64 / (TAPS * TAPS - 1) as f64,
+            Self::Skimage | Self::Torchmetrics => 1.0,
+        }
+    }
+
+    /// Pixels of reflect padding on each side.
+    fn padding(self) -> usize {
+        match self {
+            Self::SkimageSampleCov | Self::Skimage => 0,
+            Self::Torchmetrics => RADIUS,
+        }
+    }
+}
+
+/// Mean structural similarity of two RGB images (data range 1, K1 = 0.01, K2 = 0.03, sigma 1.5, 11 taps).
+///
+/// # Errors
+/// When the sizes differ or the images are smaller than the window.
+pub fn ssim(prediction: &RgbView<'_>, reference: &RgbView<'_>, variant: SsimVariant) -> Result<f64, MetricError> {
+    same_size(prediction, reference)?;
+    let padding = variant.padding();
+    let (height, width) = (prediction.height(), prediction.width());
+    let minimum = if padding == 0 { TAPS } else { padding + 1 };
+    if height < minimum || width < minimum {
+        return Err(MetricError::TooSmall {
+            metric: "SSIM",
+            height,
+            width,
+            minimum,
+        });
+    }
+    let plan = Plan {
+        prediction,
+        reference,
+        padding,
+        out_height: height + 2 * padding - 2 * RADIUS,
+        out_width: width + 2 * padding - 2 * RADIUS,
+        factor: variant.covariance_factor(),
+        taps: gaussian_taps(),
+    };
+    let starts: Vec<usize> = (0..plan.out_height).step_by(BAND).collect();
+    let arch = pulp::Arch::new();
+    let sums: Vec<f64> = starts
+        .par_iter()
+        .map(|&start| arch.dispatch(|| plan.band(start)))
+        .collect();
+    Ok(sums.iter().sum::<f64>() / (plan.out_height * plan.out_width * CHANNELS) as f64)
+}
+
+/// The normalised window.
+fn gaussian_taps() -> [f64; TAPS] {
+    let weights: [f64; TAPS] = std::array::from_fn(|index| {
+        let offset = index as f64 - RADIUS as f64;
+        libm::exp(-offset * offset / (2.0 * SIGMA * SIGMA))
+    });
+    let total: f64 = weights.iter().sum();
+    weights.map(|weight| weight / total)
+}
+
+/// One comparison: the images and the geometry of the map.
+struct Plan<'a> {
+    prediction: &'a RgbView<'a>,
+    reference: &'a RgbView<'a>,
+    padding: usize,
+    out_height: usize,
+    out_width: usize,
+    factor: f64,
+    taps: [f64; TAPS],
+}
+
+impl Plan<'_> {
+    /// Sum of the index over the output rows `start..start + BAND` (or fewer at the end).
+    #[inline(always)]
+    fn band(&self, start: usize) -> f64 {
+        let end = (start + BAND).min(self.out_height);
+        let in_row = (self.out_width + 2 * RADIUS) * CHANNELS;
+        let out_row = self.out_width * CHANNELS;
+        // [TAPS, MAPS, in_row]: the last eleven input rows.
+        let mut ring = vec![0.0f64; TAPS * MAPS * in_row];
+        // [MAPS, in_row] and [MAPS, out_row]
+        let mut vertical = vec![0.0f64; MAPS * in_row];
+        let mut means = vec![0.0f64; MAPS * out_row];
+        let mut sums = [0.0f64; 8];
+        for row in start..end + 2 * RADIUS {
+            let slot = row % TAPS;
+            self.load_row(row, &mut ring[slot * MAPS * in_row..(slot + 1) * MAPS * in_row]);
+            let Some(out) = row.checked_sub(2 * RADIUS).filter(|&out| out >= start) else {
+                continue;
+            };
+            // Tap k of output row `out` is input row `out + k`.
+            let rows: [&[f64]; TAPS] = std::array::from_fn(|tap| {
+                let slot = (out + tap) % TAPS;
+                &ring[slot * MAPS * in_row..(slot + 1) * MAPS * in_row]
+            });
+            filter(&rows, &self.taps, &mut vertical);
+            for map in 0..MAPS {
+                let line = &vertical[map * in_row..(map + 1) * in_row];
+                let shifted: [&[f64]; TAPS] =
+                    std::array::from_fn(|tap| &line[tap * CHANNELS..tap * CHANNELS + out_row]);
+                filter(&shifted, &self.taps, &mut means[map * out_row..(map + 1) * out_row]);
+            }
+            self.accumulate(&means, &mut sums);
+        }
+        fold_lanes(sums)
+    }
+
+    /// Loads input row `row` (in padded rows) into the four maps of a ring slot.
+    #[inline(always)]
+    fn load_row(&self, row: usize, slot: &mut [f64]) {
+        let in_row = slot.len() / MAPS;
+        let inner = self.prediction.width() * CHANNELS;
+        let source = reflect(row as isize - self.padding as isize, self.prediction.height()) * inner;
+        let (x, rest) = slot.split_at_mut(in_row);
+        let (y, rest) = rest.split_at_mut(in_row);
+        let (squares, products) = rest.split_at_mut(in_row);
+        let edge = self.padding * CHANNELS;
+        self.prediction.load(source, &mut x[edge..edge + inner]);
+        self.reference.load(source, &mut y[edge..edge + inner]);
+        if self.padding > 0 {
+            pad_row(x, self.padding, self.prediction.width());
+            pad_row(y, self.padding, self.prediction.width());
+        }
+        for index in 0..in_row {
+            squares[index] = x[index] * x[index] + y[index] * y[index];
+            products[index] = x[index] * y[index];
+        }
+    }
+
+    /// Adds the index of one output row to eight running sums.
+    #[inline(always)]
+    fn accumulate(&self, means: &[f64], sums: &mut [f64; 8]) {
+        let row = means.len() / MAPS;
+        let (x, rest) = means.split_at(row);
+        let (y, rest) = rest.split_at(row);
+        let (squares, products) = rest.split_at(row);
+        let index_at = |at: usize| {
+            let (mean_product, mean_squares) = (x[at] * y[at], x[at] * x[at] + y[at] * y[at]);
+            let covariance = self.factor * (products[at] - mean_product);
+            let variances = self.factor * (squares[at] - mean_squares);
+            (2.0 * mean_product + C1) * (2.0 * covariance + C2) / ((mean_squares + C1) * (variances + C2))
+        };
+        let whole = row - row % 8;
+        for block in (0..whole).step_by(8) {
+            for lane in 0..8 {
+                sums[lane] += index_at(block + lane);
+            }
+        }
+        for at in whole..row {
+            sums[at - whole] += index_at(at);
+        }
+    }
+}
+
+/// `out[j] = sum_k taps[k] * rows[k][j]`, taps in order.
+#[inline(always)]
+fn filter(rows: &[&[f64]; TAPS], taps: &[f64; TAPS], out: &mut [f64]) {
+    let length = out.len();
+    let rows: [&[f64]; TAPS] = std::array::from_fn(|tap| &rows[tap][..length]);
+    for at in 0..length {
+        let mut sum = taps[0] * rows[0][at];
+        for tap in 1..TAPS {
+            sum = rows[tap][at].mul_add(taps[tap], sum);
+        }
+        out[at] = sum;
+    }
+}
+
+/// Reflection without repeating the edge pixel: -1 is 1, `length` is `length - 2`.
+#[inline(always)]
+fn reflect(index: isize, length: usize) -> usize {
+    let last = length as isize - 1;
+    let folded = if index < 0 { -index } else { index };
+    (if folded > last { 2 * last - folded } else { folded }) as usize
+}
+
+/// Fills the `padding` pixels on both sides of a row of `width` pixels by reflection.
+fn pad_row(row: &mut [f64], padding: usize, width: usize) {
+    for pixel in (0..padding).chain(padding + width..width + 2 * padding) {
+        let source = padding + reflect(pixel as isize - padding as isize, width);
+        row.copy_within(source * CHANNELS..(source + 1) * CHANNELS, pixel * CHANNELS);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::metrics::image::Pixels;
+
+    const ALL: [SsimVariant; 3] = [
+        SsimVariant::SkimageSampleCov,
+        SsimVariant::Skimage,
+        SsimVariant::Torchmetrics,
+    ];
+
+    #[test]
+    fn an_image_is_similar_to_itself() {
+        let data: Vec<u8> = (0..20 * 23 * 3).map(|index| (index * 37 % 251) as u8).collect();
+        let view = RgbView::new(20, 23, Pixels::Bytes(&data)).unwrap();
+        for variant in ALL {
+            assert!((ssim(&view, &view, variant).unwrap() - 1.0).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn too_small_images_are_refused() {
+        let data = vec![0u8; 10 * 30 * 3];
+        let view = RgbView::new(10, 30, Pixels::Bytes(&data)).unwrap();
+        assert!(matches!(
+            ssim(&view, &view, SsimVariant::Skimage),
+            Err(MetricError::TooSmall { minimum: 11, .. })
+        ));
+        assert!(ssim(&view, &view, SsimVariant::Torchmetrics).is_ok());
+    }
+
+    #[test]
+    fn padding_reflects_without_repeating_the_edge() {
+        assert_eq!([-2, -1, 0, 3, 4, 5].map(|index| reflect(index, 4)), [2, 1, 0, 3, 2, 1]);
+    }
+
+    /// The definition, window by window.
+    #[test]
+    fn agrees_with_the_double_loop() {
+        let (height, width) = (13, 15);
+        let a: Vec<f32> = (0..height * width * 3)
+            .map(|index| (index * 31 % 97) as f32 / 96.0)
+            .collect();
+        let b: Vec<f32> = (0..height * width * 3)
+            .map(|index| (index * 17 % 89) as f32 / 88.0)
+            .collect();
+        let taps = gaussian_taps();
+        let mut total = 0.0;
+        for channel in 0..3 {
+            for row in 0..height - 10 {
+                for column in 0..width - 10 {
+                    let mut m = [0.0f64; 5];
+                    for (i, &wi) in taps.iter().enumerate() {
+                        for (j, &wj) in taps.iter().enumerate() {
+                            let at = ((row + i) * width + column + j) * 3 + channel;
+                            let (x, y) = (f64::from(a[at]), f64::from(b[at]));
+                            for (m, v) in m.iter_mut().zip([x, y, x * x, y * y, x * y]) {
+                                *m += wi * wj * v;
+                            }
+                        }
+                    }
+                    let [x, y, xx, yy, xy] = m;
+                    total += (2.0 * x * y + C1) * (2.0 * (xy - x * y) + C2)
+                        / ((x * x + y * y + C1) * (xx - x * x + yy - y * y + C2));
+                }
+            }
+        }
+        let expected = total / (3 * (height - 10) * (width - 10)) as f64;
+        let a = RgbView::new(height, width, Pixels::Unit(&a)).unwrap();
+        let b = RgbView::new(height, width, Pixels::Unit(&b)).unwrap();
+        assert!((ssim(&a, &b, SsimVariant::Skimage).unwrap() - expected).abs() < 1e-12);
+    }
+
+    #[test]
+    fn one_and_two_threads_give_the_same_bits() {
+        let a: Vec<u8> = (0..154 * 280 * 3u64).map(|index| (index * 7919 % 256) as u8).collect();
+        let b: Vec<u8> = (0..154 * 280 * 3u64)
+            .map(|index| (index * 104_729 % 256) as u8)
+            .collect();
+        let (a, b) = (
+            RgbView::new(154, 280, Pixels::Bytes(&a)).unwrap(),
+            RgbView::new(154, 280, Pixels::Bytes(&b)).unwrap(),
+        );
+        let bits = [1, 2, 3].map(|threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| ssim(&a, &b, SsimVariant::default()).unwrap().to_bits())
+        });
+        assert!(bits.iter().all(|&value| value == bits[0]));
+    }
+}
