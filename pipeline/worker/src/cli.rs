@@ -1,0 +1,209 @@
+//! Command line of a stage program.
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
+use rogs_schemas::protocol::InputDescription;
+
+use crate::describe::describe;
+use crate::error::{StageError, StageResult};
+use crate::one::{OneArguments, one};
+use crate::params::read_arguments;
+use crate::serve::serve;
+use crate::stage::Stage;
+use crate::sys;
+
+/// Exit status: everything asked for is done.
+pub const EXIT_OK: u8 = 0;
+/// Exit status: at least one unit failed for good.
+pub const EXIT_FAILED: u8 = 1;
+/// Exit status: the command line, the plan or the parameters are wrong.
+pub const EXIT_USAGE: u8 = 2;
+/// Exit status: stopped early by a signal or a passing trouble; run again (`EX_TEMPFAIL`).
+pub const EXIT_TEMPORARY: u8 = 75;
+
+/// The `main` of a stage program.
+pub fn stage_main<S: Stage>() -> ExitCode {
+    stage_main_from::<S>(std::env::args_os().skip(1).collect())
+}
+
+/// The same with given arguments (without the program name); `rogs stage NAME ...` ends here.
+pub fn stage_main_from<S: Stage>(arguments: Vec<OsString>) -> ExitCode {
+    let program = OsString::from(format!("rogs-{}", S::NAME));
+    let matches = match command::<S>().try_get_matches_from(std::iter::once(program).chain(arguments)) {
+        Ok(matches) => matches,
+        Err(error) => {
+            let _ = error.print();
+            return ExitCode::from(if error.use_stderr() { EXIT_USAGE } else { EXIT_OK });
+        }
+    };
+    match dispatch::<S>(&matches) {
+        Ok(code) => code,
+        Err(error) => {
+            print_error(&error);
+            ExitCode::from(EXIT_USAGE)
+        }
+    }
+}
+
+fn dispatch<S: Stage>(matches: &ArgMatches) -> StageResult<ExitCode> {
+    match matches.subcommand() {
+        Some(("one", matches)) => {
+            set_threads(matches)?;
+            let path = |name: &str| matches.get_one::<PathBuf>(name).cloned();
+            let roles = S::inputs().into_iter().map(|input| input.role);
+            let inputs = roles.filter_map(|role| path(&role).map(|path| (role, path))).collect();
+            let arguments = OneArguments {
+                inputs,
+                output: path("out").unwrap_or_default(),
+                params: params_of(matches)?,
+                clip_id: matches.get_one::<String>("clip-id").cloned(),
+                quiet: matches.get_flag("quiet"),
+            };
+            Ok(one::<S>(&arguments))
+        }
+        Some(("worker", matches)) => {
+            set_threads(matches)?;
+            if matches
+                .get_one::<u32>("parent")
+                .is_some_and(|&parent| !sys::die_with_parent(parent))
+            {
+                return Ok(ExitCode::from(EXIT_TEMPORARY));
+            }
+            Ok(serve::<S>(grace(matches)))
+        }
+        Some(("describe", matches)) => {
+            let description = describe::<S>(&params_of(matches)?)?;
+            let text = serde_json::to_string_pretty(&description)
+                .map_err(|error| StageError::internal(format!("description is no JSON: {error}")))?;
+            println!("{text}");
+            Ok(ExitCode::from(EXIT_OK))
+        }
+        _ => Err(StageError::bad_params("no such command")),
+    }
+}
+
+fn params_of(matches: &ArgMatches) -> StageResult<serde_json::Value> {
+    let given: Vec<String> = matches
+        .get_many::<String>("params")
+        .into_iter()
+        .flatten()
+        .cloned()
+        .collect();
+    read_arguments(&given)
+}
+
+fn grace(matches: &ArgMatches) -> Duration {
+    Duration::from_secs_f64(matches.get_one::<f64>("grace").copied().unwrap_or(5.0).clamp(0.0, 1e6))
+}
+
+fn set_threads(matches: &ArgMatches) -> StageResult<()> {
+    let Some(&threads) = matches.get_one::<usize>("threads") else {
+        return Ok(());
+    };
+    let built = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
+    built.map_err(|error| StageError::bad_params(format!("cannot use {threads} threads: {error}")))
+}
+
+fn command<S: Stage>() -> Command {
+    let threads = Arg::new("threads")
+        .long("threads")
+        .value_name("N")
+        .value_parser(value_parser!(usize))
+        .help("Threads for computation [default: one per core]; results do not depend on it");
+    let grace = Arg::new("grace")
+        .long("grace")
+        .value_name("SECONDS")
+        .value_parser(value_parser!(f64))
+        .help("On SIGTERM, how long the clip in hand may still take before it is given up [default: 5]");
+    let params = Arg::new("params")
+        .long("params")
+        .value_name("NAME=VALUE|JSON|@FILE")
+        .action(ArgAction::Append)
+        .help("Parameters that differ from the defaults; may be repeated");
+    let mut one = Command::new("one")
+        .about("Run one clip by hand")
+        .arg(params.clone())
+        .arg(threads.clone());
+    for input in S::inputs() {
+        one = one.arg(input_argument(&input));
+    }
+    let out = Arg::new("out")
+        .long("out")
+        .value_name("FILE")
+        .required(true)
+        .value_parser(value_parser!(PathBuf));
+    let clip_id = Arg::new("clip-id")
+        .long("clip-id")
+        .value_name("ID")
+        .help("Name of the clip in messages");
+    let quiet = Arg::new("quiet")
+        .long("quiet")
+        .short('q')
+        .action(ArgAction::SetTrue)
+        .help("Say nothing but errors");
+    one = one.arg(out.help("The file to write")).arg(clip_id).arg(quiet);
+
+    let worker = Command::new("worker")
+        .about("Serve jobs: JSON lines on stdin, events on stdout")
+        .arg(threads)
+        .arg(grace);
+    let parent = Arg::new("parent")
+        .long("parent")
+        .value_name("PID")
+        .value_parser(value_parser!(u32));
+    let worker = worker.arg(parent.help("Stop when this process, which started the worker, is gone"));
+    let describe = Command::new("describe")
+        .about("Print what this stage is, as JSON")
+        .arg(params);
+    Command::new(forever(format!("rogs-{}", S::NAME)))
+        .about(S::SUMMARY)
+        .version(forever(format!(
+            "{} (stage version {}, writes {})",
+            env!("CARGO_PKG_VERSION"),
+            S::VERSION,
+            S::OUTPUT
+        )))
+        .subcommand_required(true)
+        .arg_required_else_help(true)
+        .subcommands([one, worker, describe])
+}
+
+/// clap wants names that live as long as the program; there are a handful, made once.
+fn forever(text: String) -> &'static str {
+    text.leak()
+}
+
+fn input_argument(input: &InputDescription) -> Arg {
+    let kind = if input.kind.starts_with("rogs.") {
+        format!("a `{}` file", input.kind)
+    } else {
+        input.kind.clone()
+    };
+    let help = if input.required {
+        format!("Input: {kind}")
+    } else {
+        format!("Optional input: {kind}")
+    };
+    let (role, name) = (
+        forever(input.role.clone()),
+        if input.kind == "folder" { "FOLDER" } else { "FILE" },
+    );
+    Arg::new(role)
+        .long(role)
+        .value_name(name)
+        .required(input.required)
+        .value_parser(value_parser!(PathBuf))
+        .help(help)
+}
+
+/// Prints a failure as a person should see it.
+pub(crate) fn print_error(error: &StageError) {
+    eprintln!("error: {error}");
+    if let Some(hint) = &error.hint {
+        eprintln!("hint: {hint}");
+    }
+}

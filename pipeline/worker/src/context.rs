@@ -1,0 +1,139 @@
+//! What a running stage sees.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use rogs_schemas::key::{CacheKey, ContentHash, Provenance};
+use rogs_schemas::record::Record;
+
+use crate::error::{StageError, StageResult};
+
+/// What a running stage sees: its inputs, where to put the output, and how to report.
+pub struct Context<'a> {
+    clip_id: &'a str,
+    inputs: &'a BTreeMap<String, PathBuf>,
+    output: &'a Path,
+    provenance: Provenance,
+    progress: &'a mut dyn FnMut(f64, &str),
+    warnings: Vec<String>,
+    seconds: BTreeMap<String, f64>,
+    written: Option<ContentHash>,
+}
+
+/// What is left of a context after the stage ran.
+pub(crate) struct Outcome {
+    pub(crate) warnings: Vec<String>,
+    pub(crate) seconds: BTreeMap<String, f64>,
+    pub(crate) written: Option<ContentHash>,
+}
+
+impl<'a> Context<'a> {
+    pub(crate) fn new(
+        clip_id: &'a str,
+        inputs: &'a BTreeMap<String, PathBuf>,
+        output: &'a Path,
+        provenance: Provenance,
+        progress: &'a mut dyn FnMut(f64, &str),
+    ) -> Self {
+        let (warnings, seconds, written) = Default::default();
+        Self {
+            clip_id,
+            inputs,
+            output,
+            provenance,
+            progress,
+            warnings,
+            seconds,
+            written,
+        }
+    }
+
+    pub(crate) fn into_outcome(self) -> Outcome {
+        Outcome {
+            warnings: self.warnings,
+            seconds: self.seconds,
+            written: self.written,
+        }
+    }
+}
+
+impl Context<'_> {
+    /// The clip's id.
+    #[must_use]
+    pub fn clip_id(&self) -> &str {
+        self.clip_id
+    }
+
+    /// Path of a required input.
+    ///
+    /// # Errors
+    /// When the job does not name it.
+    pub fn input(&self, role: &str) -> StageResult<&Path> {
+        self.optional_input(role)
+            .ok_or_else(|| StageError::bad_params(format!("the job names no input `{role}`")))
+    }
+
+    /// Path of an optional input.
+    #[must_use]
+    pub fn optional_input(&self, role: &str) -> Option<&Path> {
+        self.inputs.get(role).map(PathBuf::as_path)
+    }
+
+    /// Reads a required container input and notes its content hash in the provenance of the output.
+    ///
+    /// # Errors
+    /// When it is missing or damaged, or is not the file that the plan names by its key.
+    pub fn read<T: Record>(&mut self, role: &str) -> StageResult<T> {
+        let (record, info) = rogs_schemas::read_record::<T>(self.input(role)?)?;
+        let planned = self
+            .provenance
+            .material
+            .inputs
+            .get(role)
+            .and_then(|id| id.parse::<CacheKey>().ok());
+        let found = info.provenance.key();
+        if let Some(planned) = planned.filter(|planned| *planned != found) {
+            let path = self.input(role)?.display();
+            return Err(
+                StageError::bad_input(format!("`{path}` has key {found}, but the plan names {planned}"))
+                    .with_hint("the file changed after planning; run again"),
+            );
+        }
+        self.provenance.input_content.insert(role.to_owned(), info.content);
+        Ok(record)
+    }
+
+    /// Writes the output with its provenance. Call exactly once.
+    ///
+    /// # Errors
+    /// When writing fails, or the stage writes a second time.
+    pub fn write<T: Record>(&mut self, record: &T) -> StageResult<()> {
+        if self.written.is_some() {
+            return Err(StageError::internal("the stage wrote its output twice"));
+        }
+        let start = Instant::now();
+        let info = rogs_schemas::write_record(self.output, record, &self.provenance)?;
+        *self.seconds.entry("write".to_owned()).or_default() += start.elapsed().as_secs_f64();
+        self.written = Some(info.content);
+        Ok(())
+    }
+
+    /// Reports progress, `fraction` in 0..=1.
+    pub fn progress(&mut self, fraction: f64, message: &str) {
+        (self.progress)(fraction, message);
+    }
+
+    /// Notes something a person should know; the job goes on.
+    pub fn warn(&mut self, warning: impl Into<String>) {
+        self.warnings.push(warning.into());
+    }
+
+    /// Runs a phase and adds its seconds to the report under `name`.
+    pub fn timed<T>(&mut self, name: &str, phase: impl FnOnce(&mut Self) -> T) -> T {
+        let start = Instant::now();
+        let result = phase(self);
+        *self.seconds.entry(name.to_owned()).or_default() += start.elapsed().as_secs_f64();
+        result
+    }
+}

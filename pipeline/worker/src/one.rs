@@ -1,0 +1,179 @@
+//! The face `one`: a person runs a stage on one clip by hand.
+
+use std::collections::BTreeMap;
+use std::io::{IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use rogs_schemas::key::KeyMaterial;
+use rogs_schemas::protocol::Job;
+use rogs_schemas::source::hash_source;
+use serde_json::Value;
+
+use crate::cli::{EXIT_FAILED, EXIT_OK, print_error};
+use crate::error::{StageError, StageResult};
+use crate::job::{Report, Runner};
+use crate::params::{canonical, parse_params};
+use crate::serve::drain_on_signals;
+use crate::stage::Stage;
+use crate::sys;
+
+/// What the command line of `one` says.
+pub(crate) struct OneArguments {
+    pub(crate) inputs: BTreeMap<String, PathBuf>,
+    pub(crate) output: PathBuf,
+    pub(crate) params: Value,
+    pub(crate) clip_id: Option<String>,
+    pub(crate) quiet: bool,
+}
+
+/// Runs the stage once and tells on stderr how it went.
+pub(crate) fn one<S: Stage>(arguments: &OneArguments) -> ExitCode {
+    let _ = drain_on_signals(Duration::ZERO);
+    let mut line = ProgressLine::new(S::NAME, arguments.quiet);
+    let result = job_of::<S>(arguments)
+        .and_then(|job| Runner::<S>::new().run(&job, &mut |fraction, message| line.show(fraction, message)));
+    line.clear();
+    match result {
+        Ok(report) => {
+            if !arguments.quiet {
+                tell(&arguments.output, &report);
+            }
+            ExitCode::from(EXIT_OK)
+        }
+        Err(error) => {
+            print_error(&error);
+            ExitCode::from(EXIT_FAILED)
+        }
+    }
+}
+
+fn job_of<S: Stage>(arguments: &OneArguments) -> StageResult<Job> {
+    let params: S::Params = parse_params(&arguments.params)?;
+    let mut ids = BTreeMap::new();
+    let mut clip_id = arguments.clip_id.clone();
+    for input in S::inputs() {
+        let Some(path) = arguments.inputs.get(&input.role) else {
+            continue;
+        };
+        let id = if input.kind.starts_with("rogs.") {
+            rogs_schemas::r4c::Reader::open(path)?.provenance().key().to_string()
+        } else {
+            hash_source(&input.role, path)?.to_string()
+        };
+        ids.insert(input.role, id);
+    }
+    let folder = arguments
+        .output
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
+    if let Some(folder) = folder {
+        std::fs::create_dir_all(folder)
+            .map_err(|error| StageError::io(format!("cannot make the folder `{}`: {error}", folder.display())))?;
+    }
+    let first = || {
+        arguments
+            .inputs
+            .values()
+            .next()
+            .and_then(|path| path.file_stem())
+            .map(|stem| stem.to_string_lossy())
+    };
+    let clip_id = clip_id
+        .take()
+        .or_else(|| first().map(|stem| safe_name(&stem)))
+        .unwrap_or_else(|| "clip".to_owned());
+    let material = KeyMaterial {
+        stage: S::NAME.to_owned(),
+        stage_version: S::VERSION,
+        schema: S::OUTPUT.to_string(),
+        params: canonical(&params),
+        inputs: ids,
+    };
+    Ok(Job {
+        job: 0,
+        clip_id,
+        inputs: arguments.inputs.clone(),
+        output: arguments.output.clone(),
+        params: arguments.params.clone(),
+        key: material.key(),
+        material,
+    })
+}
+
+/// A name made of the characters that clip ids may have.
+fn safe_name(text: &str) -> String {
+    let safe = |c: char| {
+        if c.is_ascii_alphanumeric() || "._+-".contains(c) {
+            c
+        } else {
+            '_'
+        }
+    };
+    text.chars().take(128).map(safe).collect()
+}
+
+fn tell(output: &Path, report: &Report) {
+    for warning in &report.warnings {
+        eprintln!("warning: {warning}");
+    }
+    let seconds = report.seconds.get("total").copied().unwrap_or_default();
+    let mebibytes = sys::peak_rss_bytes() >> 20;
+    eprintln!(
+        "wrote {} in {seconds:.2} s, peak memory {mebibytes} MiB",
+        output.display()
+    );
+    let phases = report.seconds.iter().filter(|(name, _)| *name != "total");
+    let phases: Vec<_> = phases.map(|(name, seconds)| format!("{name} {seconds:.2} s")).collect();
+    if !phases.is_empty() {
+        eprintln!("  {}", phases.join(", "));
+    }
+}
+
+/// Progress as one line that is rewritten on a terminal, and as an occasional line elsewhere.
+struct ProgressLine {
+    stage: &'static str,
+    terminal: bool,
+    quiet: bool,
+    last: Option<Instant>,
+    shown: bool,
+}
+
+impl ProgressLine {
+    fn new(stage: &'static str, quiet: bool) -> Self {
+        Self {
+            stage,
+            terminal: std::io::stderr().is_terminal(),
+            quiet,
+            last: None,
+            shown: false,
+        }
+    }
+
+    fn show(&mut self, fraction: f64, message: &str) {
+        let interval = if self.terminal {
+            Duration::from_millis(100)
+        } else {
+            Duration::from_secs(5)
+        };
+        if self.quiet || self.last.is_some_and(|last| last.elapsed() < interval) {
+            return;
+        }
+        self.last = Some(Instant::now());
+        let percent = 100.0 * fraction.clamp(0.0, 1.0);
+        if self.terminal {
+            eprint!("\r\x1b[K{} {percent:3.0} % {message}", self.stage);
+            let _ = std::io::stderr().flush();
+            self.shown = true;
+        } else {
+            eprintln!("{} {percent:3.0} % {message}", self.stage);
+        }
+    }
+
+    fn clear(&mut self) {
+        if self.shown {
+            eprint!("\r\x1b[K");
+        }
+    }
+}

@@ -1,0 +1,133 @@
+//! The face `worker`: jobs on stdin, events on stdout.
+
+use std::fs::File;
+use std::io::{BufRead, Read, Write};
+use std::process::ExitCode;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use rogs_schemas::protocol::{Event, Job};
+
+use crate::cli::{EXIT_OK, EXIT_TEMPORARY, EXIT_USAGE};
+use crate::error::StageError;
+use crate::job::{self, Runner};
+use crate::stage::Stage;
+use crate::sys;
+
+/// Longest job line, bytes; a longer one is not ours.
+const MAX_LINE: u64 = 4 << 20;
+
+/// Least time between two progress events.
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
+
+/// Set when a termination signal came: no further job is begun.
+static DRAINING: AtomicBool = AtomicBool::new(false);
+
+/// True once a termination signal came.
+pub(crate) fn draining() -> bool {
+    DRAINING.load(Ordering::SeqCst)
+}
+
+/// On TERM, USR1 or INT: no new job; the one in hand has `grace` to finish, then it is abandoned. Exits 75 at once
+/// when no job is in hand.
+pub(crate) fn drain_on_signals(grace: Duration) -> std::io::Result<()> {
+    let mut deadline = None;
+    sys::on_termination(&[libc::SIGTERM, libc::SIGUSR1, libc::SIGINT], move |_| {
+        DRAINING.store(true, Ordering::SeqCst);
+        let repeated = deadline.is_some();
+        let until = *deadline.get_or_insert_with(|| Instant::now() + grace);
+        while job::busy() && !repeated && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        job::abandon();
+        std::process::exit(i32::from(EXIT_TEMPORARY));
+    })
+}
+
+/// Serves jobs until the end of stdin.
+pub(crate) fn serve<S: Stage>(grace: Duration) -> ExitCode {
+    let events = match sys::take_stdout().and_then(|events| drain_on_signals(grace).map(|()| events)) {
+        Ok(events) => Mutex::new(events),
+        Err(error) => {
+            eprintln!("error: cannot set up the worker: {error}");
+            return ExitCode::from(EXIT_USAGE);
+        }
+    };
+    let ready = Event::Ready {
+        stage: S::NAME.to_owned(),
+        stage_version: S::VERSION,
+    };
+    if !send(&events, &ready) {
+        return ExitCode::from(EXIT_TEMPORARY);
+    }
+    let mut runner = Runner::<S>::new();
+    let mut stdin = std::io::stdin().lock();
+    let mut line = Vec::new();
+    loop {
+        line.clear();
+        match stdin.by_ref().take(MAX_LINE).read_until(b'\n', &mut line) {
+            Ok(0) => return ExitCode::from(EXIT_OK),
+            Ok(_) => {}
+            Err(error) => {
+                eprintln!("error: cannot read jobs: {error}");
+                return ExitCode::from(EXIT_TEMPORARY);
+            }
+        }
+        if line.trim_ascii().is_empty() {
+            continue;
+        }
+        if draining() {
+            return ExitCode::from(EXIT_TEMPORARY);
+        }
+        let job: Job = match serde_json::from_slice(&line) {
+            Ok(job) => job,
+            Err(error) => {
+                eprintln!("error: a line on stdin is no job: {error}");
+                return ExitCode::from(EXIT_USAGE);
+            }
+        };
+        if !send(&events, &Event::Started { job: job.job }) {
+            return ExitCode::from(EXIT_TEMPORARY);
+        }
+        let mut last = None::<Instant>;
+        let mut progress = |fraction: f64, message: &str| {
+            if last.is_none_or(|last| last.elapsed() >= PROGRESS_INTERVAL) {
+                last = Some(Instant::now());
+                send(
+                    &events,
+                    &Event::Progress {
+                        job: job.job,
+                        fraction,
+                        message: message.to_owned(),
+                    },
+                );
+            }
+        };
+        let event = match runner.run(&job, &mut progress) {
+            Ok(report) => Event::Done {
+                job: job.job,
+                seconds: report.seconds,
+                peak_rss_bytes: sys::peak_rss_bytes(),
+                warnings: report.warnings,
+            },
+            Err(StageError { code, message, hint }) => Event::Failed {
+                job: job.job,
+                code,
+                message,
+                hint,
+            },
+        };
+        // Nobody listens any more: the output is in its place, so nothing is lost by stopping.
+        if !send(&events, &event) || draining() {
+            return ExitCode::from(EXIT_TEMPORARY);
+        }
+    }
+}
+
+/// Writes one event as one line in one call; false when nobody listens any more.
+fn send(events: &Mutex<File>, event: &Event) -> bool {
+    let mut line = serde_json::to_vec(event).unwrap_or_default();
+    line.push(b'\n');
+    events.lock().is_ok_and(|mut events| events.write_all(&line).is_ok())
+}
