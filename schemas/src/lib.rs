@@ -1,6 +1,7 @@
 //! Everything that lies on disk between the stages of rogs: the chunk container (`.r4c`), the records in it, cache keys
 //! and provenance, and the worker protocol. This crate knows no other crate of the workspace.
 
+pub mod atomic;
 pub mod episode;
 pub mod error;
 pub mod key;
@@ -9,6 +10,7 @@ pub mod protocol;
 pub mod r4c;
 pub mod record;
 pub mod records;
+pub mod source;
 pub mod units;
 
 pub use error::{Error, Result};

@@ -1,50 +1,42 @@
-//! The chunk container (`.r4c`).
+//! The chunk container (`.r4c`): one file holds one unit's output as named streams cut into chunks.
+//!
+//! ```text
+//! prologue   64 bytes    magic, versions, schema id, content key, XXH3
+//! chunks                 payloads, back to back, each at a multiple of 8, padding zero
+//! schema     zstd        streams (dtype, shape, unit, frame, codec) and metadata
+//! index      zstd        u64 count, then 64 bytes a chunk
+//! footer     64 bytes    where schema and index are, checksums, file length: the commit record
+//! ```
+//!
+//! All integers are little endian. Checksums: XXH3-64 of what is stored, CRC-32C of what it decodes to. The identity of
+//! a file's data is the [`ContentHash`](crate::ContentHash) of its decoded streams, which does not depend on zstd.
+//! A file without a whole footer is no file. Nothing here is appended to or changed in place.
+//!
+//! Writing and reading through [`Record`](crate::Record) is all a stage needs; [`Reader::read_chunk`] fetches one chunk
+//! by touching only its bytes, and [`inspect`] describes any file.
 
-use std::path::Path;
+#[cfg(target_endian = "big")]
+compile_error!("the container is read and written in place on little-endian machines only");
 
-use crate::error::Result;
-use crate::key::{ContentHash, Provenance};
-use crate::record::SchemaId;
+pub mod codec;
+mod compress;
+mod content;
+mod inspect;
+mod layout;
+mod reader;
+mod stream;
+mod writer;
 
-/// Collects streams and commits them as one file.
-pub struct Writer {}
+pub use inspect::{ChunkTotals, InspectReport, StreamReport, inspect};
+pub use layout::{MAX_BLOCK, MAX_CHUNK, MAX_CHUNKS, MAX_FILE, MIN_FILE};
+pub use reader::{FileHeader, Limits, Reader, read_header, verify};
+pub use stream::{Codec, Dtype, Element, Frame, StreamInfo, StreamSpec, Unit};
+pub use writer::{Chunk, Writer};
 
-impl Writer {
-    /// An empty container of a schema.
-    #[must_use]
-    pub fn new(_schema: SchemaId, _provenance: &Provenance) -> Self {
-        Self {}
-    }
+/// Container version this code writes, and the largest major version it reads.
+pub const CONTAINER_VERSION: (u16, u16) = (1, 0);
 
-    /// Writes the file atomically.
-    pub fn commit(self, _path: &Path) -> Result<ContentHash> {
-        unimplemented!()
-    }
-}
-
-/// An open, checked container.
-pub struct Reader {}
-
-impl Reader {
-    /// Opens and checks a file.
-    pub fn open(_path: &Path) -> Result<Self> {
-        unimplemented!()
-    }
-
-    /// Refuses other schemas and newer versions.
-    pub fn expect_schema(&self, _schema: SchemaId) -> Result<()> {
-        unimplemented!()
-    }
-
-    /// How it was made.
-    #[must_use]
-    pub fn provenance(&self) -> &Provenance {
-        unimplemented!()
-    }
-
-    /// Hash of the decoded content.
-    #[must_use]
-    pub fn content_hash(&self) -> ContentHash {
-        unimplemented!()
-    }
-}
+/// Metadata key of the provenance (canonical JSON).
+pub(crate) const META_PROVENANCE: &str = "provenance";
+/// Metadata key of the content hash (hex).
+pub(crate) const META_CONTENT: &str = "content";

@@ -1,0 +1,185 @@
+//! Files that appear whole or not at all.
+
+use std::fs::{File, OpenOptions};
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+use crate::error::{Error, Result};
+
+/// Writes a file beside its place, flushes it to disk, renames it over `path` and flushes the folder.
+///
+/// `fill` gets the open temporary file `.NAME.PID.tmp`; when it fails, or anything after it, the temporary file is
+/// removed and `path` is as it was.
+///
+/// # Errors
+/// The error of `fill`, or of the operating system.
+pub fn write_with(path: &Path, fill: impl FnOnce(&mut File) -> std::io::Result<()>) -> Result<()> {
+    let folder = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    let (temporary, mut file) = create_temporary(folder, path)?;
+    let written = fill(&mut file)
+        .and_then(|()| file.sync_all())
+        .map_err(io("writing", &temporary))
+        .and_then(|()| std::fs::rename(&temporary, path).map_err(io("renaming to", path)));
+    if let Err(error) = written {
+        drop(file);
+        // The first error is the one to report; a file that stays behind is swept later.
+        let _ = std::fs::remove_file(&temporary);
+        return Err(error);
+    }
+    sync_folder(folder)
+}
+
+/// [`write_with`] for bytes at hand.
+///
+/// # Errors
+/// The error of the operating system.
+pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
+    write_with(path, |file| std::io::Write::write_all(file, bytes))
+}
+
+/// Removes the temporary files of writers that are gone from a folder (not below it) and returns their paths.
+///
+/// A writer is gone when the system has a `/proc` and no process of that number is in it; without `/proc` nothing is
+/// removed.
+///
+/// # Errors
+/// When the folder cannot be listed or a file in it cannot be removed.
+pub fn sweep(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut removed = Vec::new();
+    if !Path::new("/proc/self").exists() {
+        return Ok(removed);
+    }
+    for entry in std::fs::read_dir(folder).map_err(io("listing", folder))? {
+        let path = entry.map_err(io("listing", folder))?.path();
+        let Some(writer) = path.file_name().and_then(|name| writer_of(name.to_str()?)) else {
+            continue;
+        };
+        if Path::new("/proc").join(writer.to_string()).exists() {
+            continue;
+        }
+        match std::fs::remove_file(&path) {
+            Ok(()) => removed.push(path),
+            Err(error) if error.kind() == ErrorKind::NotFound => {}
+            Err(error) => return Err(io("removing", &path)(error)),
+        }
+    }
+    removed.sort();
+    Ok(removed)
+}
+
+/// Process number in `.NAME.PID.tmp` or `.NAME.PID-N.tmp`.
+fn writer_of(name: &str) -> Option<u32> {
+    let stem = name.strip_prefix('.')?.strip_suffix(".tmp")?;
+    let (_, writer) = stem.rsplit_once('.')?;
+    writer.split('-').next()?.parse().ok()
+}
+
+fn create_temporary(folder: &Path, path: &Path) -> Result<(PathBuf, File)> {
+    let name = path.file_name().ok_or_else(|| {
+        io("writing", path)(std::io::Error::new(
+            ErrorKind::InvalidInput,
+            "the path does not end in a file name",
+        ))
+    })?;
+    let name = name.to_string_lossy();
+    let process = std::process::id();
+    // A process that was killed may have had our number and left its file behind; another host may have it now.
+    for attempt in 0..1000 {
+        let suffix = if attempt == 0 {
+            String::new()
+        } else {
+            format!("-{attempt}")
+        };
+        let temporary = folder.join(format!(".{name}.{process}{suffix}.tmp"));
+        match OpenOptions::new().write(true).create_new(true).open(&temporary) {
+            Ok(file) => return Ok((temporary, file)),
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(io("creating", &temporary)(error)),
+        }
+    }
+    Err(io("creating a temporary file beside", path)(std::io::Error::from(
+        ErrorKind::AlreadyExists,
+    )))
+}
+
+fn sync_folder(folder: &Path) -> Result<()> {
+    if cfg!(unix) {
+        File::open(folder)
+            .and_then(|folder| folder.sync_all())
+            .map_err(io("flushing", folder))?;
+    }
+    Ok(())
+}
+
+fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Error {
+    let path = path.to_owned();
+    move |source| Error::Io { action, path, source }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scratch(name: &str) -> PathBuf {
+        let folder = std::env::temp_dir().join(format!("rogs-atomic-{name}-{}", std::process::id()));
+        let _ = std::fs::remove_dir_all(&folder);
+        std::fs::create_dir_all(&folder).unwrap();
+        folder
+    }
+
+    #[test]
+    fn a_failed_write_leaves_the_old_file_and_nothing_else() {
+        let folder = scratch("fail");
+        let path = folder.join("a.r4c");
+        write_bytes(&path, b"old").unwrap();
+        let error = write_with(&path, |file| {
+            std::io::Write::write_all(file, b"half")?;
+            Err(std::io::Error::other("disk full"))
+        });
+        assert!(matches!(error, Err(Error::Io { action: "writing", .. })));
+        assert_eq!(std::fs::read(&path).unwrap(), b"old");
+        assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1);
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn a_target_that_is_a_folder_fails_and_leaves_nothing() {
+        let folder = scratch("dir");
+        let path = folder.join("taken");
+        std::fs::create_dir(&path).unwrap();
+        assert!(write_bytes(&path, b"x").is_err());
+        assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1);
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn the_sweep_takes_only_files_of_writers_that_are_gone() {
+        let folder = scratch("sweep");
+        let mine = format!(".a.r4c.{}.tmp", std::process::id());
+        // No process has the largest number: Linux caps them far below.
+        for name in [
+            mine.as_str(),
+            ".b.r4c.4294967295.tmp",
+            ".c.r4c.4294967295-3.tmp",
+            ".hidden.tmp",
+            "d.r4c",
+        ] {
+            std::fs::write(folder.join(name), b"x").unwrap();
+        }
+        if Path::new("/proc/self").exists() {
+            let removed = sweep(&folder).unwrap();
+            assert_eq!(
+                removed,
+                [
+                    folder.join(".b.r4c.4294967295.tmp"),
+                    folder.join(".c.r4c.4294967295-3.tmp")
+                ]
+            );
+            assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 3);
+        }
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+}

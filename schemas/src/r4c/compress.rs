@@ -1,0 +1,324 @@
+//! Compressing and decompressing one chunk.
+
+use std::borrow::Cow;
+
+use zstd::bulk::{Compressor, Decompressor};
+
+use super::stream::{Codec, Dtype};
+
+/// Level of every frame. Level 6 costs much time for nothing (`performance.md` section 7).
+const LEVEL: i32 = 3;
+
+/// Bytes with NaN payloads and signs removed, so that equal fields give equal files. -0.0 stays.
+pub(crate) fn canonical(dtype: Dtype, bytes: &[u8]) -> Cow<'_, [u8]> {
+    match dtype {
+        Dtype::F32 => canonical_words(bytes, u32::from_le_bytes, 0x7fc0_0000, |bits| {
+            bits & 0x7fff_ffff > 0x7f80_0000
+        }),
+        Dtype::F64 => canonical_words(bytes, u64::from_le_bytes, 0x7ff8 << 48, |bits| {
+            bits & (u64::MAX >> 1) > 0x7ff0 << 48
+        }),
+        Dtype::F16 => canonical_words(bytes, u16::from_le_bytes, 0x7e00, |bits| bits & 0x7fff > 0x7c00),
+        Dtype::U8 | Dtype::U16 | Dtype::U32 | Dtype::I32 => Cow::Borrowed(bytes),
+    }
+}
+
+fn canonical_words<const N: usize, W: Copy + PartialEq + ToBytes<N>>(
+    bytes: &[u8],
+    read: fn([u8; N]) -> W,
+    nan: W,
+    is_nan: fn(W) -> bool,
+) -> Cow<'_, [u8]> {
+    let (words, _) = bytes.as_chunks::<N>();
+    let strange = |word: &[u8; N]| is_nan(read(*word)) & (read(*word) != nan);
+    // Blocks, so that the scan needs no branch per value.
+    if !words
+        .chunks(1024)
+        .any(|block| block.iter().fold(false, |any, word| any | strange(word)))
+    {
+        return Cow::Borrowed(bytes);
+    }
+    let mut owned = bytes.to_vec();
+    for word in owned.as_chunks_mut::<N>().0 {
+        if strange(word) {
+            *word = nan.to_bytes();
+        }
+    }
+    Cow::Owned(owned)
+}
+
+/// Little-endian bytes of an integer.
+trait ToBytes<const N: usize> {
+    fn to_bytes(self) -> [u8; N];
+}
+impl ToBytes<2> for u16 {
+    fn to_bytes(self) -> [u8; 2] {
+        self.to_le_bytes()
+    }
+}
+impl ToBytes<4> for u32 {
+    fn to_bytes(self) -> [u8; 4] {
+        self.to_le_bytes()
+    }
+}
+impl ToBytes<8> for u64 {
+    fn to_bytes(self) -> [u8; 8] {
+        self.to_le_bytes()
+    }
+}
+
+/// True when the bytes are copies of their first `size` bytes.
+pub(crate) fn is_constant(bytes: &[u8], size: usize) -> bool {
+    bytes.len() > size && bytes[size..] == bytes[..bytes.len() - size]
+}
+
+/// Buffers and zstd contexts of one thread, used again from chunk to chunk.
+#[derive(Default)]
+pub(crate) struct Scratch {
+    planes: Vec<u8>,
+    deltas: Vec<u8>,
+    compressor: Option<Compressor<'static>>,
+    decompressor: Option<Decompressor<'static>>,
+}
+
+impl Scratch {
+    /// The compressed form of a chunk's bytes, or `None` when it would not be smaller.
+    pub(crate) fn compress(
+        &mut self,
+        codec: Codec,
+        dtype: Dtype,
+        stride: usize,
+        bytes: &[u8],
+    ) -> std::io::Result<Option<Vec<u8>>> {
+        let input = match codec {
+            Codec::Raw => return Ok(None),
+            Codec::Zstd => bytes,
+            Codec::ShuffleZstd => {
+                shuffle(bytes, stride, &mut self.planes);
+                &self.planes
+            }
+            Codec::DeltaShuffleZstd => {
+                self.deltas.clear();
+                self.deltas.extend_from_slice(bytes);
+                delta(&mut self.deltas, dtype.size());
+                shuffle(&self.deltas, stride, &mut self.planes);
+                &self.planes
+            }
+        };
+        let compressor = match &mut self.compressor {
+            Some(compressor) => compressor,
+            none => none.insert(new_compressor()?),
+        };
+        let stored = compressor.compress(input)?;
+        Ok((stored.len() < bytes.len()).then_some(stored))
+    }
+
+    /// Decompresses a chunk into `out`, whose length is the decoded length.
+    pub(crate) fn decompress(
+        &mut self,
+        codec: Codec,
+        dtype: Dtype,
+        stride: usize,
+        stored: &[u8],
+        out: &mut [u8],
+    ) -> Result<(), String> {
+        if codec == Codec::Raw {
+            if stored.len() != out.len() {
+                return Err(format!("{} stored bytes for {} decoded ones", stored.len(), out.len()));
+            }
+            out.copy_from_slice(stored);
+            return Ok(());
+        }
+        check_frame(stored, out.len())?;
+        let decompressor = match &mut self.decompressor {
+            Some(decompressor) => decompressor,
+            none => none.insert(Decompressor::new().map_err(|error| error.to_string())?),
+        };
+        if codec == Codec::Zstd {
+            return decompress_exactly(decompressor, stored, out);
+        }
+        self.planes.clear();
+        self.planes
+            .try_reserve_exact(out.len())
+            .map_err(|error| error.to_string())?;
+        self.planes.resize(out.len(), 0);
+        decompress_exactly(decompressor, stored, &mut self.planes)?;
+        unshuffle(&self.planes, stride, out);
+        if codec == Codec::DeltaShuffleZstd {
+            undelta(out, dtype.size());
+        }
+        Ok(())
+    }
+}
+
+fn new_compressor() -> std::io::Result<Compressor<'static>> {
+    let mut compressor = Compressor::new(LEVEL)?;
+    compressor.include_checksum(false)?;
+    compressor.include_contentsize(true)?;
+    compressor.include_dictid(false)?;
+    Ok(compressor)
+}
+
+/// One zstd frame of some bytes, as the schema and index blocks have it.
+pub(crate) fn compress_block(bytes: &[u8]) -> std::io::Result<Vec<u8>> {
+    new_compressor()?.compress(bytes)
+}
+
+/// The bytes of a schema or index block of known decoded length.
+pub(crate) fn decompress_block(stored: &[u8], decoded: usize) -> Result<Vec<u8>, String> {
+    check_frame(stored, decoded)?;
+    let mut out = Vec::new();
+    out.try_reserve_exact(decoded).map_err(|error| error.to_string())?;
+    out.resize(decoded, 0);
+    let mut decompressor = Decompressor::new().map_err(|error| error.to_string())?;
+    decompress_exactly(&mut decompressor, stored, &mut out)?;
+    Ok(out)
+}
+
+fn decompress_exactly(decompressor: &mut Decompressor<'_>, stored: &[u8], out: &mut [u8]) -> Result<(), String> {
+    let length = decompressor
+        .decompress_to_buffer(stored, out)
+        .map_err(|error| format!("zstd: {error}"))?;
+    if length == out.len() {
+        Ok(())
+    } else {
+        Err(format!("decompressed to {length} bytes instead of {}", out.len()))
+    }
+}
+
+/// Demands exactly one frame that announces the expected size.
+fn check_frame(stored: &[u8], decoded: usize) -> Result<(), String> {
+    match zstd::zstd_safe::get_frame_content_size(stored) {
+        Ok(Some(size)) if size == decoded as u64 => {}
+        Ok(size) => return Err(format!("the zstd frame announces {size:?} bytes instead of {decoded}")),
+        Err(_) => return Err("not a zstd frame".into()),
+    }
+    match zstd::zstd_safe::find_frame_compressed_size(stored) {
+        Ok(length) if length == stored.len() => Ok(()),
+        Ok(length) => Err(format!("the zstd frame ends after {length} of {} bytes", stored.len())),
+        Err(_) => Err("the zstd frame is not whole".into()),
+    }
+}
+
+/// Elements handled at once by the transposition: a block stays in the first-level cache.
+const BLOCK: usize = 256;
+
+/// Byte transposition: byte `k` of element `i` goes to `k * n + i`; bytes after the last whole element stay behind.
+fn shuffle(bytes: &[u8], stride: usize, planes: &mut Vec<u8>) {
+    planes.clear();
+    planes.resize(bytes.len(), 0);
+    let count = bytes.len() / stride;
+    let (body, tail) = bytes.split_at(count * stride);
+    for start in (0..count).step_by(BLOCK) {
+        let elements = BLOCK.min(count - start);
+        let block = &body[start * stride..(start + elements) * stride];
+        for k in 0..stride {
+            let plane = &mut planes[k * count + start..][..elements];
+            for (out, element) in plane.iter_mut().zip(block.chunks_exact(stride)) {
+                *out = element[k];
+            }
+        }
+    }
+    planes[count * stride..].copy_from_slice(tail);
+}
+
+/// The inverse of [`shuffle`].
+fn unshuffle(planes: &[u8], stride: usize, out: &mut [u8]) {
+    let count = out.len() / stride;
+    let (body, tail) = out.split_at_mut(count * stride);
+    for start in (0..count).step_by(BLOCK) {
+        let elements = BLOCK.min(count - start);
+        let block = &mut body[start * stride..(start + elements) * stride];
+        for k in 0..stride {
+            let plane = &planes[k * count + start..][..elements];
+            for (element, &byte) in block.chunks_exact_mut(stride).zip(plane) {
+                element[k] = byte;
+            }
+        }
+    }
+    tail.copy_from_slice(&planes[count * stride..]);
+}
+
+/// Replaces each integer by its difference to the one before (the first by its difference to 0), wrapping.
+fn delta(bytes: &mut [u8], size: usize) {
+    let mut before = 0u32;
+    for word in bytes.chunks_exact_mut(size) {
+        let value = load(word);
+        store(word, value.wrapping_sub(before));
+        before = value;
+    }
+}
+
+/// The inverse of [`delta`].
+fn undelta(bytes: &mut [u8], size: usize) {
+    let mut value = 0u32;
+    for word in bytes.chunks_exact_mut(size) {
+        value = value.wrapping_add(load(word));
+        store(word, value);
+    }
+}
+
+fn load(word: &[u8]) -> u32 {
+    word.iter().rev().fold(0, |value, &byte| (value << 8) | u32::from(byte))
+}
+
+fn store(word: &mut [u8], value: u32) {
+    for (byte, source) in word.iter_mut().zip(value.to_le_bytes()) {
+        *byte = source;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn transposition_and_differences_have_inverses() {
+        let bytes: Vec<u8> = (0..3001u32)
+            .map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8)
+            .collect();
+        for stride in [1, 2, 3, 4, 8, 12, 44] {
+            let mut planes = Vec::new();
+            shuffle(&bytes, stride, &mut planes);
+            let mut back = vec![0; bytes.len()];
+            unshuffle(&planes, stride, &mut back);
+            assert_eq!(back, bytes, "stride {stride}");
+        }
+        for size in [1, 2, 4] {
+            let mut changed = bytes.clone();
+            delta(&mut changed, size);
+            undelta(&mut changed, size);
+            assert_eq!(changed, bytes, "size {size}");
+        }
+    }
+
+    #[test]
+    fn nan_becomes_canonical_and_negative_zero_stays() {
+        let values = [
+            f32::from_bits(0xffc0_1234),
+            -0.0,
+            f32::INFINITY,
+            f32::from_bits(0x7f80_0001),
+            1.5,
+        ];
+        let bytes = canonical(Dtype::F32, bytemuck::cast_slice(&values)).into_owned();
+        let words: Vec<u32> = bytes
+            .chunks_exact(4)
+            .map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+            .collect();
+        assert_eq!(words, [0x7fc0_0000, 0x8000_0000, 0x7f80_0000, 0x7fc0_0000, 0x3fc0_0000]);
+        assert!(matches!(
+            canonical(Dtype::F32, bytemuck::cast_slice(&[f32::NAN, 1.0])),
+            Cow::Borrowed(_)
+        ));
+    }
+
+    #[test]
+    fn a_bomb_and_a_second_frame_are_refused() {
+        let bomb = compress_block(&vec![0; 1 << 20]).unwrap();
+        assert!(decompress_block(&bomb, 100).unwrap_err().contains("announces"));
+        let mut two = compress_block(&[1, 2, 3]).unwrap();
+        two.extend(compress_block(&[]).unwrap());
+        assert!(decompress_block(&two, 3).unwrap_err().contains("ends after"));
+    }
+}

@@ -1,0 +1,78 @@
+//! Checks shared by the records; each returns what is wrong, in words.
+
+/// Result of a check.
+pub(crate) type Check = Result<(), String>;
+
+/// Largest image side, pixels.
+const MAX_SIDE: u32 = 16_384;
+
+/// A number of things that must agree.
+pub(crate) fn count(what: &str, found: usize, expected: usize) -> Check {
+    if found == expected {
+        Ok(())
+    } else {
+        Err(format!("{what} has {found} values, expected {expected}"))
+    }
+}
+
+/// A condition with its message.
+pub(crate) fn ensure(condition: bool, message: impl FnOnce() -> String) -> Check {
+    if condition { Ok(()) } else { Err(message()) }
+}
+
+/// Image sides between 1 and a generous limit; returns the number of pixels.
+pub(crate) fn area(height: u32, width: u32) -> Result<usize, String> {
+    let fits = |side: u32| (1..=MAX_SIDE).contains(&side);
+    ensure(fits(height) && fits(width), || {
+        format!("an image of {width}x{height} pixels is impossible")
+    })?;
+    Ok(height as usize * width as usize)
+}
+
+/// Clip frames: strictly ascending and below the frame count.
+pub(crate) fn ascending_frames(what: &str, frames: &[u32], frame_count: usize) -> Check {
+    let sorted = frames.is_sorted_by(|a, b| a < b);
+    ensure(
+        sorted && frames.last().is_none_or(|&last| (last as usize) < frame_count),
+        || format!("{what} {frames:?} do not ascend below {frame_count}"),
+    )
+}
+
+/// Finite numbers.
+pub(crate) fn finite(what: &str, values: &[f64]) -> Check {
+    match values.iter().position(|value| !value.is_finite()) {
+        None => Ok(()),
+        Some(index) => Err(format!("{what} is {} at index {index}", values[index])),
+    }
+}
+
+/// Bytes that are 0 or 1.
+pub(crate) fn binary(what: &str, values: &[u8]) -> Check {
+    match values.iter().position(|&value| value > 1) {
+        None => Ok(()),
+        Some(index) => Err(format!("{what} is {} at index {index}, expected 0 or 1", values[index])),
+    }
+}
+
+/// A product of counts from a file; an error instead of an overflow.
+pub(crate) fn product(what: &str, factors: &[usize]) -> Result<usize, String> {
+    let product = factors
+        .iter()
+        .try_fold(1usize, |product, &factor| product.checked_mul(factor));
+    product.ok_or_else(|| format!("{what}: the counts {factors:?} are too large"))
+}
+
+/// A finite pose.
+pub(crate) fn pose(what: &str, pose: &crate::pose::RigidPose) -> Check {
+    finite(what, &pose.rotation)?;
+    finite(what, &pose.translation)
+}
+
+/// A name that can be a file name: `[A-Za-z0-9._+-]{1,128}`, not `.` or `..`.
+pub(crate) fn safe_name(what: &str, name: &str) -> Check {
+    let safe = |byte: u8| byte.is_ascii_alphanumeric() || b"._+-".contains(&byte);
+    let fits = (1..=128).contains(&name.len()) && name.bytes().all(safe) && name != "." && name != "..";
+    ensure(fits, || {
+        format!("{what} {name:?} is not 1 to 128 of `A-Z a-z 0-9 . _ + -`")
+    })
+}

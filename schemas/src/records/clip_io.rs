@@ -1,0 +1,357 @@
+//! How a clip lies in its container.
+
+use serde::{Deserialize, Serialize};
+
+use super::check::{Check, area, ascending_frames, binary, count, ensure, finite, pose, product, safe_name};
+use super::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Tracks};
+use crate::error::Result;
+use crate::pose::Intrinsics;
+use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
+use crate::record::{Record, SchemaId};
+
+/// Images, one chunk per (camera, frame).
+const RGB: StreamSpec = StreamSpec {
+    name: "rgb",
+    dtype: Dtype::U8,
+    unit: Unit::One,
+    frame: Frame::None,
+    codec: Codec::Zstd,
+    fill: "",
+};
+/// Reference depth, one chunk per (camera, frame).
+const DEPTH: StreamSpec = StreamSpec {
+    name: "depth_m",
+    dtype: Dtype::F32,
+    unit: Unit::Metre,
+    frame: Frame::Camera,
+    codec: Codec::ShuffleZstd,
+    fill: "NaN: unknown",
+};
+const TRACK_CAMERA: StreamSpec = StreamSpec {
+    name: "track_camera",
+    dtype: Dtype::U32,
+    unit: Unit::One,
+    frame: Frame::None,
+    codec: Codec::DeltaShuffleZstd,
+    fill: "",
+};
+const TRACK_PIXEL: StreamSpec = StreamSpec {
+    name: "track_pixel",
+    dtype: Dtype::F32,
+    unit: Unit::Pixel,
+    frame: Frame::None,
+    codec: Codec::ShuffleZstd,
+    fill: "",
+};
+const TRACK_POSITION: StreamSpec = StreamSpec {
+    name: "track_position_m",
+    dtype: Dtype::F32,
+    unit: Unit::Metre,
+    frame: Frame::RobotBase,
+    codec: Codec::ShuffleZstd,
+    fill: "NaN: undefined",
+};
+const TRACK_VISIBLE: StreamSpec = StreamSpec {
+    name: "track_visible",
+    dtype: Dtype::U8,
+    unit: Unit::One,
+    frame: Frame::None,
+    codec: Codec::Zstd,
+    fill: "",
+};
+
+/// What is small.
+#[derive(Serialize, Deserialize)]
+struct Head {
+    clip_id: String,
+    episode_id: String,
+    layout: String,
+    task: String,
+    calibration_note: String,
+    fps: f64,
+    episode_frames: Vec<u32>,
+    source_frames: Vec<u32>,
+    query_frames: Vec<u32>,
+    anchor_frame: u32,
+    height: u32,
+    width: u32,
+    cameras: Vec<CameraHead>,
+    robot: RobotStates,
+    tracks: Option<TracksHead>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct CameraHead {
+    id: String,
+    role: CameraRole,
+    partner: Option<u32>,
+    intrinsics: Intrinsics,
+    mount: CameraMount,
+    has_rgb: bool,
+    depth_range_m: Option<[f32; 2]>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct TracksHead {
+    anchor_frame: u32,
+    count: u32,
+}
+
+impl Record for Clip {
+    const SCHEMA: SchemaId = SchemaId {
+        name: "rogs.clip",
+        major: 1,
+        minor: 0,
+    };
+
+    fn encode(&self, writer: &mut Writer) -> Result<()> {
+        self.check().map_err(|what| writer.inconsistent(what))?;
+        let camera = |camera: &ClipCamera| CameraHead {
+            id: camera.id.clone(),
+            role: camera.role,
+            partner: camera.partner,
+            intrinsics: camera.intrinsics,
+            mount: camera.mount.clone(),
+            has_rgb: camera.rgb.is_some(),
+            depth_range_m: camera.depth.as_ref().map(|depth| depth.range_m),
+        };
+        let tracks = |tracks: &Tracks| TracksHead {
+            anchor_frame: tracks.anchor_frame,
+            count: tracks.camera.len() as u32,
+        };
+        let head = Head {
+            clip_id: self.clip_id.clone(),
+            episode_id: self.episode_id.clone(),
+            layout: self.layout.clone(),
+            task: self.task.clone(),
+            calibration_note: self.calibration_note.clone(),
+            fps: self.fps,
+            episode_frames: self.episode_frames.clone(),
+            source_frames: self.source_frames.clone(),
+            query_frames: self.query_frames.clone(),
+            anchor_frame: self.anchor_frame,
+            height: self.height,
+            width: self.width,
+            cameras: self.cameras.iter().map(camera).collect(),
+            robot: self.robot.clone(),
+            tracks: self.tracks.as_ref().map(tracks),
+        };
+        writer.value("clip", &head)?;
+        let area = self.height as usize * self.width as usize;
+        let mut images = Vec::new();
+        let mut depths = Vec::new();
+        for (index, camera) in self.cameras.iter().enumerate() {
+            if let Some(rgb) = &camera.rgb {
+                images.extend(
+                    rgb.chunks_exact(3 * area)
+                        .enumerate()
+                        .map(|(f, image)| ([index as u32, f as u32, 0, 0], image)),
+                );
+            }
+            if let Some(depth) = &camera.depth {
+                let maps = depth.depth_m.chunks_exact(area).enumerate();
+                depths.extend(maps.map(|(f, map)| ([index as u32, f as u32, 0, 0], map)));
+            }
+        }
+        writer.stream(&RGB, &[self.height, self.width, 3], &images)?;
+        writer.stream(&DEPTH, &[self.height, self.width], &depths)?;
+        let Some(tracks) = &self.tracks else { return Ok(()) };
+        let frames = self.frame_count() as u32;
+        writer.stream(&TRACK_CAMERA, &[], &[([0; 4], tracks.camera.as_slice())])?;
+        writer.stream(&TRACK_PIXEL, &[2], &[([0; 4], tracks.pixel.as_slice())])?;
+        writer.stream(&TRACK_POSITION, &[frames, 3], &[([0; 4], tracks.position_m.as_slice())])?;
+        writer.stream(&TRACK_VISIBLE, &[frames], &[([0; 4], tracks.visible.as_slice())])
+    }
+
+    fn decode(reader: &Reader) -> Result<Self> {
+        let head: Head = reader.value("clip")?;
+        let wrong = |what: String| reader.inconsistent(what);
+        let area = area(head.height, head.width).map_err(wrong)?;
+        let frames = head.episode_frames.len();
+        let mut rgb = reader.stream::<u8>(&RGB, &[head.height, head.width, 3])?;
+        let mut depth = reader.stream::<f32>(&DEPTH, &[head.height, head.width])?;
+        // Split off the back, so that each camera keeps its own allocation and nothing is copied twice.
+        let rgb_length = product("rgb", &[frames, area, 3]).map_err(wrong)?;
+        let depth_length = product("depth", &[frames, area]).map_err(wrong)?;
+        let mut cameras = Vec::with_capacity(head.cameras.len());
+        for camera in head.cameras.into_iter().rev() {
+            let rgb = camera
+                .has_rgb
+                .then(|| take_back(&mut rgb, rgb_length, "rgb"))
+                .transpose()
+                .map_err(wrong)?;
+            let depth = match camera.depth_range_m {
+                None => None,
+                Some(range_m) => {
+                    let depth_m = take_back(&mut depth, depth_length, "depth").map_err(wrong)?;
+                    Some(DepthReference { depth_m, range_m })
+                }
+            };
+            let CameraHead {
+                id,
+                role,
+                partner,
+                intrinsics,
+                mount,
+                ..
+            } = camera;
+            cameras.push(ClipCamera {
+                id,
+                role,
+                partner,
+                intrinsics,
+                mount,
+                rgb,
+                depth,
+            });
+        }
+        cameras.reverse();
+        count("rgb beyond its cameras", rgb.len(), 0).map_err(wrong)?;
+        count("depth beyond its cameras", depth.len(), 0).map_err(wrong)?;
+        let tracks = match head.tracks {
+            None => None,
+            Some(tracks) => {
+                let read = Tracks {
+                    anchor_frame: tracks.anchor_frame,
+                    camera: reader.stream(&TRACK_CAMERA, &[])?,
+                    pixel: reader.stream(&TRACK_PIXEL, &[2])?,
+                    position_m: reader.stream(&TRACK_POSITION, &[frames as u32, 3])?,
+                    visible: reader.stream(&TRACK_VISIBLE, &[frames as u32])?,
+                };
+                count("tracks", read.camera.len(), tracks.count as usize).map_err(wrong)?;
+                Some(read)
+            }
+        };
+        let clip = Self {
+            clip_id: head.clip_id,
+            episode_id: head.episode_id,
+            layout: head.layout,
+            task: head.task,
+            calibration_note: head.calibration_note,
+            fps: head.fps,
+            episode_frames: head.episode_frames,
+            source_frames: head.source_frames,
+            query_frames: head.query_frames,
+            anchor_frame: head.anchor_frame,
+            height: head.height,
+            width: head.width,
+            cameras,
+            robot: head.robot,
+            tracks,
+        };
+        clip.check().map_err(wrong)?;
+        Ok(clip)
+    }
+}
+
+fn take_back<T>(values: &mut Vec<T>, length: usize, what: &str) -> std::result::Result<Vec<T>, String> {
+    let start = values
+        .len()
+        .checked_sub(length)
+        .ok_or_else(|| format!("{what} has too few chunks for its cameras"))?;
+    if start == 0 {
+        return Ok(std::mem::take(values));
+    }
+    Ok(values.split_off(start))
+}
+
+impl Clip {
+    /// What contradicts what, if anything.
+    pub(crate) fn check(&self) -> Check {
+        safe_name("the clip id", &self.clip_id)?;
+        let area = area(self.height, self.width)?;
+        let frames = self.frame_count();
+        ensure((1..=65_536).contains(&frames), || format!("{frames} frames"))?;
+        ensure(self.fps.is_finite() && self.fps > 0.0, || {
+            format!("{} frames per second", self.fps)
+        })?;
+        ascending_frames("source frames", &self.source_frames, frames)?;
+        ascending_frames("query frames", &self.query_frames, frames)?;
+        ensure(!self.source_frames.is_empty(), || "there is no source frame".into())?;
+        ensure((self.anchor_frame as usize) < frames, || {
+            format!("anchor frame {} of {frames}", self.anchor_frame)
+        })?;
+        ensure((1..=255).contains(&self.cameras.len()), || {
+            format!("{} cameras", self.cameras.len())
+        })?;
+        for camera in &self.cameras {
+            self.check_camera(camera, frames, area)
+                .map_err(|what| format!("camera `{}`: {what}", camera.id))?;
+        }
+        let RobotStates {
+            joint_names,
+            positions,
+            gripper,
+        } = &self.robot;
+        count(
+            "joint positions",
+            positions.len(),
+            product("joints", &[frames, joint_names.len()])?,
+        )?;
+        finite("a joint position", positions)?;
+        count("gripper states", gripper.len(), frames)?;
+        finite("a gripper state", gripper)?;
+        match &self.tracks {
+            None => Ok(()),
+            Some(tracks) => self.check_tracks(tracks, frames),
+        }
+    }
+
+    fn check_camera(&self, camera: &ClipCamera, frames: usize, area: usize) -> Check {
+        let Intrinsics { fx, fy, cx, cy } = camera.intrinsics;
+        finite("an intrinsic", &[fx, fy, cx, cy])?;
+        ensure(fx > 0.0 && fy > 0.0, || {
+            format!("focal lengths {fx} and {fy} are not above 0")
+        })?;
+        if let Some(partner) = camera.partner {
+            let other = self.cameras.get(partner as usize);
+            ensure(other.is_some_and(|other| other.role == CameraRole::Source), || {
+                format!("its partner {partner} is no source camera")
+            })?;
+        }
+        match &camera.mount {
+            CameraMount::Fixed { base_from_camera } => pose("its pose", base_from_camera)?,
+            CameraMount::HandEye { link_from_camera, .. } => pose("its pose", link_from_camera)?,
+            CameraMount::Trajectory { base_from_camera } => {
+                count("its trajectory", base_from_camera.len(), frames)?;
+                base_from_camera
+                    .iter()
+                    .try_for_each(|item| pose("a pose of its trajectory", item))?;
+            }
+        }
+        if let Some(rgb) = &camera.rgb {
+            count("rgb", rgb.len(), product("rgb", &[frames, area, 3])?)?;
+        }
+        if let Some(depth) = &camera.depth {
+            count("depth", depth.depth_m.len(), product("depth", &[frames, area])?)?;
+            let [near, far] = depth.range_m;
+            ensure(near.is_finite() && far.is_finite() && near < far, || {
+                format!("its depth range is {near} to {far}")
+            })?;
+        }
+        Ok(())
+    }
+
+    fn check_tracks(&self, tracks: &Tracks, frames: usize) -> Check {
+        let points = tracks.camera.len();
+        ensure((tracks.anchor_frame as usize) < frames, || {
+            format!("track anchor {} of {frames}", tracks.anchor_frame)
+        })?;
+        count("track pixels", tracks.pixel.len(), product("tracks", &[points, 2])?)?;
+        count(
+            "track positions",
+            tracks.position_m.len(),
+            product("tracks", &[points, frames, 3])?,
+        )?;
+        count(
+            "track visibility",
+            tracks.visible.len(),
+            product("tracks", &[points, frames])?,
+        )?;
+        binary("track visibility", &tracks.visible)?;
+        let cameras = self.cameras.len() as u32;
+        ensure(tracks.camera.iter().all(|&camera| camera < cameras), || {
+            format!("a track lies in a camera that is not among the {cameras}")
+        })
+    }
+}

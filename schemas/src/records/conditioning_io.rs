@@ -1,0 +1,187 @@
+//! How conditioning maps lie in their container.
+
+use serde::{Deserialize, Serialize};
+
+use super::check::{Check, area, ascending_frames, binary, count, ensure, product};
+use super::clip::SourceView;
+use super::conditioning::{Conditioning, GripperPrior, ViewConditioning};
+use crate::error::Result;
+use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
+use crate::record::{Record, SchemaId};
+
+/// Supported pixels, one chunk per view.
+const PIXELS: StreamSpec = StreamSpec {
+    name: "pixels",
+    dtype: Dtype::U32,
+    unit: Unit::One,
+    frame: Frame::None,
+    codec: Codec::DeltaShuffleZstd,
+    fill: "",
+};
+/// Link ids, one chunk per view.
+const LINK: StreamSpec = StreamSpec {
+    name: "link",
+    dtype: Dtype::U8,
+    unit: Unit::One,
+    frame: Frame::None,
+    codec: Codec::Zstd,
+    fill: "",
+};
+/// Mesh depth, one chunk per view.
+const DEPTH: StreamSpec = StreamSpec {
+    name: "mesh_depth_m",
+    dtype: Dtype::F32,
+    unit: Unit::Metre,
+    frame: Frame::Camera,
+    codec: Codec::ShuffleZstd,
+    fill: "",
+};
+/// FK displacements, one chunk per (view, query).
+const DISPLACEMENT: StreamSpec = StreamSpec {
+    name: "displacement_iu",
+    dtype: Dtype::F32,
+    unit: Unit::InternalUnit,
+    frame: Frame::Recon,
+    codec: Codec::ShuffleZstd,
+    fill: "",
+};
+
+#[derive(Serialize, Deserialize)]
+struct Head {
+    clip_id: String,
+    height: u32,
+    width: u32,
+    views: Vec<SourceView>,
+    query_frames: Vec<u32>,
+    view_maps: Vec<ViewHead>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct ViewHead {
+    count: u32,
+    available: Vec<u8>,
+    prior: GripperPrior,
+}
+
+impl Record for Conditioning {
+    const SCHEMA: SchemaId = SchemaId {
+        name: "rogs.conditioning",
+        major: 1,
+        minor: 0,
+    };
+
+    fn encode(&self, writer: &mut Writer) -> Result<()> {
+        self.check().map_err(|what| writer.inconsistent(what))?;
+        let view_head = |view: &ViewConditioning| ViewHead {
+            count: view.pixels.len() as u32,
+            available: view.available.clone(),
+            prior: view.prior,
+        };
+        let head = Head {
+            clip_id: self.clip_id.clone(),
+            height: self.height,
+            width: self.width,
+            views: self.views.clone(),
+            query_frames: self.query_frames.clone(),
+            view_maps: self.view_maps.iter().map(view_head).collect(),
+        };
+        writer.value("conditioning", &head)?;
+        let maps = || self.view_maps.iter().zip(0u32..);
+        let pixels: Vec<_> = maps().map(|(view, v)| ([v, 0, 0, 0], view.pixels.as_slice())).collect();
+        let link: Vec<_> = maps().map(|(view, v)| ([v, 0, 0, 0], view.link.as_slice())).collect();
+        let depth: Vec<_> = maps()
+            .map(|(view, v)| ([v, 0, 0, 0], view.depth_m.as_slice()))
+            .collect();
+        let mut displacement = Vec::new();
+        for (view, v) in maps() {
+            let values = 3 * view.pixels.len();
+            displacement.extend(
+                (0..self.query_frames.len())
+                    .map(|q| ([v, q as u32, 0, 0], &view.displacement_iu[q * values..(q + 1) * values])),
+            );
+        }
+        writer.stream(&PIXELS, &[], &pixels)?;
+        writer.stream(&LINK, &[], &link)?;
+        writer.stream(&DEPTH, &[], &depth)?;
+        writer.stream(&DISPLACEMENT, &[3], &displacement)
+    }
+
+    fn decode(reader: &Reader) -> Result<Self> {
+        let head: Head = reader.value("conditioning")?;
+        let wrong = |what: String| reader.inconsistent(what);
+        let pixels = reader.stream::<u32>(&PIXELS, &[])?;
+        let link = reader.stream::<u8>(&LINK, &[])?;
+        let depth = reader.stream::<f32>(&DEPTH, &[])?;
+        let displacement = reader.stream::<f32>(&DISPLACEMENT, &[3])?;
+        let total = head.view_maps.iter().map(|view| view.count as usize).sum::<usize>();
+        count("pixels", pixels.len(), total).map_err(wrong)?;
+        count("link ids", link.len(), total).map_err(wrong)?;
+        count("mesh depth", depth.len(), total).map_err(wrong)?;
+        let displacements = product("displacements", &[total, 3, head.query_frames.len()]).map_err(wrong)?;
+        count("displacements", displacement.len(), displacements).map_err(wrong)?;
+        let mut view_maps = Vec::with_capacity(head.view_maps.len());
+        let mut start = 0;
+        for view in head.view_maps {
+            let end = start + view.count as usize;
+            let scale = 3 * head.query_frames.len();
+            view_maps.push(ViewConditioning {
+                pixels: pixels[start..end].to_vec(),
+                link: link[start..end].to_vec(),
+                depth_m: depth[start..end].to_vec(),
+                displacement_iu: displacement[start * scale..end * scale].to_vec(),
+                available: view.available,
+                prior: view.prior,
+            });
+            start = end;
+        }
+        let conditioning = Self {
+            clip_id: head.clip_id,
+            height: head.height,
+            width: head.width,
+            views: head.views,
+            query_frames: head.query_frames,
+            view_maps,
+        };
+        conditioning.check().map_err(wrong)?;
+        Ok(conditioning)
+    }
+}
+
+impl Conditioning {
+    /// What contradicts what, if anything.
+    pub(crate) fn check(&self) -> Check {
+        let area = area(self.height, self.width)?;
+        let queries = self.query_frames.len();
+        ascending_frames("query frames", &self.query_frames, usize::MAX)?;
+        count("view maps", self.view_maps.len(), self.views.len())?;
+        for (number, view) in self.view_maps.iter().enumerate() {
+            let here = |what: String| format!("view {number}: {what}");
+            let ViewConditioning {
+                pixels,
+                link,
+                depth_m,
+                displacement_iu,
+                available,
+                prior: _,
+            } = view;
+            let support = pixels.len();
+            let inside = pixels.is_sorted_by(|a, b| a < b) && pixels.last().is_none_or(|&last| (last as usize) < area);
+            ensure(inside, || here(format!("pixels do not ascend below {area}")))?;
+            count("link ids", link.len(), support).map_err(here)?;
+            count("mesh depth", depth_m.len(), support).map_err(here)?;
+            count(
+                "displacements",
+                displacement_iu.len(),
+                product("displacements", &[queries, support, 3])?,
+            )
+            .map_err(here)?;
+            count("availability", available.len(), queries).map_err(here)?;
+            binary("availability", available).map_err(here)?;
+            let finite = |values: &[f32]| values.iter().all(|value| value.is_finite());
+            ensure(finite(depth_m) && finite(displacement_iu), || {
+                here("a depth or displacement is not finite".into())
+            })?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,222 @@
+//! How a field lies in its container: per-Gaussian arrays in one chunk per source view (and time).
+
+use serde::{Deserialize, Serialize};
+
+use super::arrays_io::{self, ArrayHead};
+use super::check::{Check, area, binary, count, ensure, pose, product};
+use super::clip::SourceView;
+use super::field::{Field, GATE_ATTRIBUTES, GATE_OPACITY, RAW_CHANNELS, TimeSlice, WeightsInfo};
+use crate::error::Result;
+use crate::pose::RigidPose;
+use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
+use crate::record::{Record, SchemaId};
+
+const POSITION: StreamSpec = floats("position_m", Unit::Metre, Frame::Recon, "");
+const BASE_RAW: StreamSpec = floats("base_raw", Unit::One, Frame::None, "");
+const SUPPORT: StreamSpec = bytes("support", "");
+const LINK: StreamSpec = bytes("link", "255: not anchored");
+const SCALE_CAP: StreamSpec = floats("scale_cap_iu", Unit::InternalUnit, Frame::None, "infinite: no cap");
+/// One chunk per (view, time).
+const DISPLACEMENT: StreamSpec = floats("displacement_m", Unit::Metre, Frame::Recon, "");
+/// One chunk per (view, time).
+const GATE: StreamSpec = bytes("gate", "");
+/// One chunk per (view, time).
+const MOVING_RAW: StreamSpec = floats("moving_raw", Unit::One, Frame::None, "");
+/// One chunk per (array, part).
+const QUERY_STATE: StreamSpec = floats("query_state", Unit::One, Frame::None, "");
+
+const fn floats(name: &'static str, unit: Unit, frame: Frame, fill: &'static str) -> StreamSpec {
+    StreamSpec {
+        name,
+        dtype: Dtype::F32,
+        unit,
+        frame,
+        codec: Codec::ShuffleZstd,
+        fill,
+    }
+}
+
+const fn bytes(name: &'static str, fill: &'static str) -> StreamSpec {
+    StreamSpec {
+        name,
+        dtype: Dtype::U8,
+        unit: Unit::One,
+        frame: Frame::None,
+        codec: Codec::Zstd,
+        fill,
+    }
+}
+
+#[derive(Serialize, Deserialize)]
+struct Head {
+    clip_id: String,
+    frame_count: u32,
+    height: u32,
+    width: u32,
+    views: Vec<SourceView>,
+    recon_from_base: RigidPose,
+    weights: WeightsInfo,
+    times: Vec<f64>,
+    query_state: Vec<ArrayHead>,
+}
+
+impl Record for Field {
+    const SCHEMA: SchemaId = SchemaId {
+        name: "rogs.field",
+        major: 1,
+        minor: 0,
+    };
+
+    fn encode(&self, writer: &mut Writer) -> Result<()> {
+        self.check().map_err(|what| writer.inconsistent(what))?;
+        let head = Head {
+            clip_id: self.clip_id.clone(),
+            frame_count: self.frame_count,
+            height: self.height,
+            width: self.width,
+            views: self.views.clone(),
+            recon_from_base: self.recon_from_base,
+            weights: self.weights.clone(),
+            times: self.slices.iter().map(|slice| slice.time).collect(),
+            query_state: arrays_io::heads(&self.query_state),
+        };
+        writer.value("field", &head)?;
+        let area = self.height as usize * self.width as usize;
+        let channels = RAW_CHANNELS as u32;
+        writer.stream(&POSITION, &[3], &by_view(&self.position_m, 3 * area))?;
+        writer.stream(&BASE_RAW, &[channels], &by_view(&self.base_raw, RAW_CHANNELS * area))?;
+        writer.stream(&SUPPORT, &[], &by_view(&self.support, area))?;
+        writer.stream(&LINK, &[], &by_view(&self.link, area))?;
+        writer.stream(&SCALE_CAP, &[], &by_view(&self.scale_cap_iu, area))?;
+        let mut displacement = Vec::new();
+        let mut gate = Vec::new();
+        let mut moving = Vec::new();
+        for (slice, time) in self.slices.iter().zip(0u32..) {
+            let at = |view: u32| [view, time, 0, 0];
+            displacement.extend(
+                slice
+                    .displacement_m
+                    .chunks_exact(3 * area)
+                    .zip(0..)
+                    .map(|(part, view)| (at(view), part)),
+            );
+            let mut rest = slice.moving_raw.as_slice();
+            for (part, view) in slice.gate.chunks_exact(area).zip(0..) {
+                gate.push((at(view), part));
+                let (values, after) = rest.split_at(RAW_CHANNELS * open(part));
+                moving.push((at(view), values));
+                rest = after;
+            }
+        }
+        writer.stream(&DISPLACEMENT, &[3], &displacement)?;
+        writer.stream(&GATE, &[], &gate)?;
+        writer.stream(&MOVING_RAW, &[channels], &moving)?;
+        arrays_io::write(writer, &QUERY_STATE, &self.query_state)
+    }
+
+    fn decode(reader: &Reader) -> Result<Self> {
+        let head: Head = reader.value("field")?;
+        let wrong = |what: String| reader.inconsistent(what);
+        let area = area(head.height, head.width).map_err(wrong)?;
+        let total = product("Gaussians", &[area, head.views.len()]).map_err(wrong)?;
+        let channels = RAW_CHANNELS as u32;
+        let displacement = reader.stream::<f32>(&DISPLACEMENT, &[3])?;
+        let gate = reader.stream::<u8>(&GATE, &[])?;
+        let moving = reader.stream::<f32>(&MOVING_RAW, &[channels])?;
+        let times = head.times.len();
+        count(
+            "displacements",
+            displacement.len(),
+            product("slices", &[times, total, 3]).map_err(wrong)?,
+        )
+        .map_err(wrong)?;
+        count("gates", gate.len(), product("slices", &[times, total]).map_err(wrong)?).map_err(wrong)?;
+        count("query-time attributes", moving.len(), RAW_CHANNELS * open(&gate)).map_err(wrong)?;
+        let mut rest = moving.as_slice();
+        let mut slices = Vec::with_capacity(times);
+        for (index, &time) in head.times.iter().enumerate() {
+            let gate = gate[index * total..(index + 1) * total].to_vec();
+            let (values, after) = rest.split_at(RAW_CHANNELS * open(&gate));
+            rest = after;
+            let displacement_m = displacement[3 * index * total..3 * (index + 1) * total].to_vec();
+            slices.push(TimeSlice {
+                time,
+                displacement_m,
+                gate,
+                moving_raw: values.to_vec(),
+            });
+        }
+        let field = Self {
+            clip_id: head.clip_id,
+            frame_count: head.frame_count,
+            height: head.height,
+            width: head.width,
+            views: head.views,
+            recon_from_base: head.recon_from_base,
+            weights: head.weights,
+            position_m: reader.stream(&POSITION, &[3])?,
+            base_raw: reader.stream(&BASE_RAW, &[channels])?,
+            support: reader.stream(&SUPPORT, &[])?,
+            link: reader.stream(&LINK, &[])?,
+            scale_cap_iu: reader.stream(&SCALE_CAP, &[])?,
+            slices,
+            query_state: arrays_io::read(reader, &QUERY_STATE, head.query_state)?,
+        };
+        field.check().map_err(wrong)?;
+        Ok(field)
+    }
+}
+
+fn by_view<T>(values: &[T], length: usize) -> Vec<([u32; 4], &[T])> {
+    values
+        .chunks_exact(length)
+        .zip(0..)
+        .map(|(part, view)| ([view, 0, 0, 0], part))
+        .collect()
+}
+
+/// Gaussians whose gate is open.
+fn open(gate: &[u8]) -> usize {
+    gate.iter().filter(|&&gate| gate != 0).count()
+}
+
+impl Field {
+    /// What contradicts what, if anything.
+    pub(crate) fn check(&self) -> Check {
+        let total = product("Gaussians", &[area(self.height, self.width)?, self.views.len()])?;
+        ensure(self.frame_count > 0, || "the clip has no frames".into())?;
+        ensure(self.views.iter().all(|view| view.frame < self.frame_count), || {
+            format!("a source view lies beyond the {} frames", self.frame_count)
+        })?;
+        pose("recon_from_base", &self.recon_from_base)?;
+        count("positions", self.position_m.len(), 3 * total)?;
+        count("base attributes", self.base_raw.len(), RAW_CHANNELS * total)?;
+        count("support", self.support.len(), total)?;
+        binary("support", &self.support)?;
+        count("link ids", self.link.len(), total)?;
+        count("scale caps", self.scale_cap_iu.len(), total)?;
+        ensure(self.scale_cap_iu.iter().all(|cap| *cap >= 0.0), || {
+            "a scale cap is negative or NaN".into()
+        })?;
+        ensure(self.slices.is_sorted_by(|a, b| a.time < b.time), || {
+            "times do not ascend".into()
+        })?;
+        for slice in &self.slices {
+            let here = |what: String| format!("time {}: {what}", slice.time);
+            ensure((0.0..=1.0).contains(&slice.time), || here("it is not in 0 to 1".into()))?;
+            count("displacements", slice.displacement_m.len(), 3 * total).map_err(here)?;
+            count("gates", slice.gate.len(), total).map_err(here)?;
+            ensure(
+                slice.gate.iter().all(|&gate| gate <= GATE_ATTRIBUTES | GATE_OPACITY),
+                || here("unknown gate bit".into()),
+            )?;
+            count(
+                "query-time attributes",
+                slice.moving_raw.len(),
+                RAW_CHANNELS * open(&slice.gate),
+            )
+            .map_err(here)?;
+        }
+        arrays_io::check(&self.query_state)
+    }
+}

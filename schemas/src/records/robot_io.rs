@@ -1,0 +1,183 @@
+//! How robot maps lie in their container.
+
+use serde::{Deserialize, Serialize};
+
+use super::check::{Check, area, binary, count, ensure, finite, pose, product};
+use super::robot::{NO_LINK, RobotMap, RobotMaps};
+use crate::error::Result;
+use crate::pose::RigidPose;
+use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
+use crate::record::{Record, SchemaId};
+
+/// Mesh depth, one chunk per map.
+const DEPTH: StreamSpec = StreamSpec {
+    name: "mesh_depth_m",
+    dtype: Dtype::F32,
+    unit: Unit::Metre,
+    frame: Frame::Camera,
+    codec: Codec::ShuffleZstd,
+    fill: "0: nothing hit",
+};
+/// Link ids, one chunk per map.
+const LINK: StreamSpec = StreamSpec {
+    name: "link",
+    dtype: Dtype::U8,
+    unit: Unit::One,
+    frame: Frame::None,
+    codec: Codec::Zstd,
+    fill: "255: nothing hit",
+};
+/// Support, one chunk per map.
+const SUPPORT: StreamSpec = StreamSpec {
+    name: "support",
+    dtype: Dtype::U8,
+    unit: Unit::One,
+    frame: Frame::None,
+    codec: Codec::Zstd,
+    fill: "",
+};
+
+#[derive(Serialize, Deserialize)]
+struct Head {
+    clip_id: String,
+    link_names: Vec<String>,
+    base_from_link: Vec<RigidPose>,
+    base_from_camera: Vec<RigidPose>,
+    recon_from_base: RigidPose,
+    tool_m: Vec<f64>,
+    height: u32,
+    width: u32,
+    /// Camera and frame of every map.
+    maps: Vec<(u32, u32)>,
+}
+
+impl Record for RobotMaps {
+    const SCHEMA: SchemaId = SchemaId {
+        name: "rogs.robot",
+        major: 1,
+        minor: 0,
+    };
+
+    fn encode(&self, writer: &mut Writer) -> Result<()> {
+        self.check().map_err(|what| writer.inconsistent(what))?;
+        let head = Head {
+            clip_id: self.clip_id.clone(),
+            link_names: self.link_names.clone(),
+            base_from_link: self.base_from_link.clone(),
+            base_from_camera: self.base_from_camera.clone(),
+            recon_from_base: self.recon_from_base,
+            tool_m: self.tool_m.clone(),
+            height: self.height,
+            width: self.width,
+            maps: self.maps.iter().map(|map| (map.camera, map.frame)).collect(),
+        };
+        writer.value("robot", &head)?;
+        let shape = [self.height, self.width];
+        let at = |map: &RobotMap| [map.camera, map.frame, 0, 0];
+        let depth: Vec<_> = self.maps.iter().map(|map| (at(map), map.depth_m.as_slice())).collect();
+        let link: Vec<_> = self.maps.iter().map(|map| (at(map), map.link.as_slice())).collect();
+        let support: Vec<_> = self.maps.iter().map(|map| (at(map), map.support.as_slice())).collect();
+        writer.stream(&DEPTH, &shape, &depth)?;
+        writer.stream(&LINK, &shape, &link)?;
+        writer.stream(&SUPPORT, &shape, &support)
+    }
+
+    fn decode(reader: &Reader) -> Result<Self> {
+        let head: Head = reader.value("robot")?;
+        let wrong = |what: String| reader.inconsistent(what);
+        let area = area(head.height, head.width).map_err(wrong)?;
+        let shape = [head.height, head.width];
+        let depth = reader.stream::<f32>(&DEPTH, &shape)?;
+        let link = reader.stream::<u8>(&LINK, &shape)?;
+        let support = reader.stream::<u8>(&SUPPORT, &shape)?;
+        let total = product("maps", &[head.maps.len(), area]).map_err(wrong)?;
+        for (what, length) in [
+            ("mesh depth", depth.len()),
+            ("link ids", link.len()),
+            ("support", support.len()),
+        ] {
+            count(what, length, total).map_err(wrong)?;
+        }
+        let planes = depth
+            .chunks_exact(area)
+            .zip(link.chunks_exact(area))
+            .zip(support.chunks_exact(area));
+        let map = |(&(camera, frame), ((depth, link), support)): (&(u32, u32), ((&[f32], &[u8]), &[u8]))| RobotMap {
+            camera,
+            frame,
+            depth_m: depth.to_vec(),
+            link: link.to_vec(),
+            support: support.to_vec(),
+        };
+        let maps = head.maps.iter().zip(planes).map(map).collect();
+        let robot = Self {
+            clip_id: head.clip_id,
+            link_names: head.link_names,
+            base_from_link: head.base_from_link,
+            base_from_camera: head.base_from_camera,
+            recon_from_base: head.recon_from_base,
+            tool_m: head.tool_m,
+            height: head.height,
+            width: head.width,
+            maps,
+        };
+        robot.check().map_err(wrong)?;
+        Ok(robot)
+    }
+}
+
+impl RobotMaps {
+    /// What contradicts what, if anything.
+    pub(crate) fn check(&self) -> Check {
+        let area = area(self.height, self.width)?;
+        let links = self.link_names.len();
+        ensure((1..=usize::from(NO_LINK)).contains(&links), || format!("{links} links"))?;
+        let frames = self.base_from_link.len() / links;
+        ensure(frames > 0, || "there are no link poses".into())?;
+        count("link poses", self.base_from_link.len(), frames * links)?;
+        ensure(self.base_from_camera.len().is_multiple_of(frames), || {
+            format!("{} camera poses for {frames} frames", self.base_from_camera.len())
+        })?;
+        let cameras = self.base_from_camera.len() / frames;
+        self.base_from_link
+            .iter()
+            .try_for_each(|item| pose("a link pose", item))?;
+        self.base_from_camera
+            .iter()
+            .try_for_each(|item| pose("a camera pose", item))?;
+        pose("recon_from_base", &self.recon_from_base)?;
+        count("tool positions", self.tool_m.len(), 3 * frames)?;
+        finite("a tool position", &self.tool_m)?;
+        let ascending = self.maps.is_sorted_by(|a, b| (a.camera, a.frame) < (b.camera, b.frame));
+        ensure(ascending, || "maps are not in camera-major order".into())?;
+        for map in &self.maps {
+            let RobotMap {
+                camera,
+                frame,
+                depth_m,
+                link,
+                support,
+            } = map;
+            let here = |what: String| format!("map of camera {camera}, frame {frame}: {what}");
+            ensure((*camera as usize) < cameras && (*frame as usize) < frames, || {
+                here(format!("there are {cameras} cameras and {frames} frames"))
+            })?;
+            for (what, length) in [
+                ("depth", depth_m.len()),
+                ("link", link.len()),
+                ("support", support.len()),
+            ] {
+                count(what, length, area).map_err(here)?;
+            }
+            binary("support", support).map_err(here)?;
+            ensure(
+                link.iter().all(|&link| link == NO_LINK || usize::from(link) < links),
+                || here(format!("a link id is not among the {links} links")),
+            )?;
+            ensure(depth_m.iter().all(|depth| depth.is_finite() && *depth >= 0.0), || {
+                here("a depth is negative or not finite".into())
+            })?;
+        }
+        Ok(())
+    }
+}

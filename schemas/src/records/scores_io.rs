@@ -1,0 +1,109 @@
+//! How scores lie in their container.
+
+use serde::{Deserialize, Serialize};
+
+use super::check::{Check, area, count};
+use super::scores::{RenderedView, ScoreSheet, Scores};
+use crate::error::Result;
+use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
+use crate::record::{Record, SchemaId};
+
+/// Renders, one chunk per view; views may differ in size.
+const RGB: StreamSpec = StreamSpec {
+    name: "rgb",
+    dtype: Dtype::U8,
+    unit: Unit::One,
+    frame: Frame::None,
+    codec: Codec::Zstd,
+    fill: "",
+};
+/// Rendered depth, one chunk per view.
+const DEPTH: StreamSpec = StreamSpec {
+    name: "depth_m",
+    dtype: Dtype::F32,
+    unit: Unit::Metre,
+    frame: Frame::Camera,
+    codec: Codec::ShuffleZstd,
+    fill: "0: nothing hit",
+};
+
+#[derive(Serialize, Deserialize)]
+struct RenderHead {
+    camera: String,
+    frame: u32,
+    height: u32,
+    width: u32,
+}
+
+impl Record for Scores {
+    const SCHEMA: SchemaId = SchemaId {
+        name: "rogs.scores",
+        major: 1,
+        minor: 0,
+    };
+
+    fn encode(&self, writer: &mut Writer) -> Result<()> {
+        self.check().map_err(|what| writer.inconsistent(what))?;
+        writer.value("summary", &self.summary)?;
+        let head = |view: &RenderedView| RenderHead {
+            camera: view.camera.clone(),
+            frame: view.frame,
+            height: view.height,
+            width: view.width,
+        };
+        writer.value("renders", &self.renders.iter().map(head).collect::<Vec<_>>())?;
+        let views = || self.renders.iter().zip(0u32..);
+        let rgb: Vec<_> = views().map(|(view, at)| ([at, 0, 0, 0], view.rgb.as_slice())).collect();
+        let depth: Vec<_> = views()
+            .map(|(view, at)| ([at, 0, 0, 0], view.depth_m.as_slice()))
+            .collect();
+        writer.stream(&RGB, &[3], &rgb)?;
+        writer.stream(&DEPTH, &[], &depth)
+    }
+
+    fn decode(reader: &Reader) -> Result<Self> {
+        let summary: ScoreSheet = reader.value("summary")?;
+        let heads: Vec<RenderHead> = reader.value("renders")?;
+        let wrong = |what: String| reader.inconsistent(what);
+        let rgb = reader.stream::<u8>(&RGB, &[3])?;
+        let depth = reader.stream::<f32>(&DEPTH, &[])?;
+        let (mut rgb_rest, mut depth_rest) = (rgb.as_slice(), depth.as_slice());
+        let mut renders = Vec::with_capacity(heads.len());
+        for RenderHead {
+            camera,
+            frame,
+            height,
+            width,
+        } in heads
+        {
+            let area = area(height, width).map_err(wrong)?;
+            let missing = || wrong(format!("the render of `{camera}` at frame {frame} has too few pixels"));
+            let (rgb, rgb_after) = rgb_rest.split_at_checked(3 * area).ok_or_else(missing)?;
+            let (depth, depth_after) = depth_rest.split_at_checked(area).ok_or_else(missing)?;
+            (rgb_rest, depth_rest) = (rgb_after, depth_after);
+            renders.push(RenderedView {
+                camera,
+                frame,
+                height,
+                width,
+                rgb: rgb.to_vec(),
+                depth_m: depth.to_vec(),
+            });
+        }
+        count("pixels beyond the renders", rgb_rest.len() + depth_rest.len(), 0).map_err(wrong)?;
+        Ok(Self { summary, renders })
+    }
+}
+
+impl Scores {
+    /// What contradicts what, if anything.
+    pub(crate) fn check(&self) -> Check {
+        for view in &self.renders {
+            let area = area(view.height, view.width)?;
+            let here = |what: String| format!("render of `{}` at frame {}: {what}", view.camera, view.frame);
+            count("rgb", view.rgb.len(), 3 * area).map_err(here)?;
+            count("depth", view.depth_m.len(), area).map_err(here)?;
+        }
+        Ok(())
+    }
+}

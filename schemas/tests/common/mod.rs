@@ -1,0 +1,340 @@
+//! Small records of every schema, with every optional part.
+
+#![allow(dead_code, reason = "each test file uses some of it")]
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use rogs_schemas::records::clip::{
+    CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, SourceView, Tracks,
+};
+use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
+use rogs_schemas::records::field::{Field, NamedArray, RAW_CHANNELS, TimeSlice, WeightsInfo};
+use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
+use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
+use rogs_schemas::records::scores::{ImageScore, RenderedView, RobotDepthScore, ScoreSheet, Scores, TrackScore};
+use rogs_schemas::{CacheKey, ContentHash, Intrinsics, KeyMaterial, Provenance, RigidPose};
+
+/// A folder that goes away with the value.
+pub(crate) struct Scratch(pub(crate) PathBuf);
+
+impl Scratch {
+    pub(crate) fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("rogs-schemas-{name}-{}", std::process::id()));
+        let _ = std::fs::remove_dir_all(&path);
+        std::fs::create_dir_all(&path).unwrap();
+        Self(path)
+    }
+
+    pub(crate) fn file(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+pub(crate) fn provenance(stage: &str) -> Provenance {
+    let material = KeyMaterial {
+        stage: stage.into(),
+        stage_version: 1,
+        schema: format!("rogs.{stage} 1.0"),
+        params: r#"{"frames":3}"#.into(),
+        inputs: BTreeMap::from([("episode".into(), "0123".into())]),
+    };
+    Provenance {
+        material,
+        input_content: BTreeMap::from([("clip".into(), ContentHash([7; 32]))]),
+    }
+}
+
+/// A repeatable sequence of numbers in [0, 1) with 24 bits.
+pub(crate) fn noise(seed: u64) -> impl Iterator<Item = f32> {
+    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+    std::iter::from_fn(move || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        Some((state >> 40) as f32 / (1 << 24) as f32)
+    })
+}
+
+pub(crate) fn floats(seed: u64, count: usize) -> Vec<f32> {
+    noise(seed).take(count).collect()
+}
+
+pub(crate) fn small_bytes(seed: u64, count: usize, below: f32) -> Vec<u8> {
+    noise(seed).take(count).map(|value| (value * below) as u8).collect()
+}
+
+pub(crate) fn pose(x: f64) -> RigidPose {
+    RigidPose {
+        translation: [x, 0.5, -0.25],
+        ..RigidPose::IDENTITY
+    }
+}
+
+pub(crate) fn weights() -> WeightsInfo {
+    WeightsInfo {
+        trained: false,
+        configuration: "compact".into(),
+        description: "seeded weights, seed 42".into(),
+        hash: String::new(),
+    }
+}
+
+const HEIGHT: u32 = 3;
+const WIDTH: u32 = 5;
+const AREA: usize = 15;
+const FRAMES: usize = 3;
+
+pub(crate) fn clip() -> Clip {
+    let intrinsics = Intrinsics {
+        fx: 4.0,
+        fy: 4.5,
+        cx: 2.5,
+        cy: 1.5,
+    };
+    let mut depth_m = floats(1, FRAMES * AREA);
+    depth_m[7] = f32::NAN;
+    let camera = |id: &str, role, partner, mount, rgb, depth| ClipCamera {
+        id: id.into(),
+        role,
+        partner,
+        intrinsics,
+        mount,
+        rgb,
+        depth,
+    };
+    let rgb = |seed| Some(small_bytes(seed, FRAMES * AREA * 3, 256.0));
+    let hand_eye = CameraMount::HandEye {
+        link: "panda_link8".into(),
+        link_from_camera: pose(0.1),
+    };
+    let fixed = CameraMount::Fixed {
+        base_from_camera: pose(1.0),
+    };
+    let trajectory = CameraMount::Trajectory {
+        base_from_camera: vec![pose(1.0), pose(1.1), pose(1.2)],
+    };
+    Clip {
+        clip_id: "LAB+a1+2026-01-31-12h-00m-00s".into(),
+        episode_id: "LAB+a1+2026-01-31-12h:00m:00s".into(),
+        layout: "rogs-episode".into(),
+        task: "put the cup on the plate".into(),
+        calibration_note: "exact".into(),
+        fps: 15.0,
+        episode_frames: vec![7, 8, 9],
+        source_frames: vec![0, 2],
+        query_frames: vec![1, 2],
+        anchor_frame: 0,
+        height: HEIGHT,
+        width: WIDTH,
+        cameras: vec![
+            camera("wrist", CameraRole::Source, None, hand_eye, rgb(2), None),
+            camera(
+                "ext1",
+                CameraRole::Source,
+                None,
+                fixed,
+                rgb(3),
+                Some(DepthReference {
+                    depth_m,
+                    range_m: [0.1, 5.0],
+                }),
+            ),
+            camera("ext1_right", CameraRole::Evaluation, Some(1), trajectory, None, None),
+        ],
+        robot: RobotStates {
+            joint_names: vec!["panda_joint1".into(), "panda_joint2".into()],
+            positions: vec![0.0, 0.1, 0.2, 0.3, -0.4, 0.5],
+            gripper: vec![0.0, 0.5, 1.0],
+        },
+        tracks: Some(Tracks {
+            anchor_frame: 0,
+            camera: vec![0, 1],
+            pixel: vec![1.0, 2.0, 3.0, 0.0],
+            position_m: floats(4, 2 * FRAMES * 3),
+            visible: vec![1, 1, 0, 1, 0, 0],
+        }),
+    }
+}
+
+pub(crate) fn robot() -> RobotMaps {
+    let map = |camera, frame| RobotMap {
+        camera,
+        frame,
+        depth_m: floats(u64::from(10 + camera + frame), AREA),
+        link: (0..AREA as u8)
+            .map(|i| if i % 3 == 0 { NO_LINK } else { i % 2 })
+            .collect(),
+        support: small_bytes(20, AREA, 2.0),
+    };
+    RobotMaps {
+        clip_id: "clip".into(),
+        link_names: vec!["panda_link0".into(), "panda_link1".into()],
+        base_from_link: (0..2 * FRAMES).map(|i| pose(i as f64)).collect(),
+        base_from_camera: (0..2 * FRAMES).map(|i| pose(-(i as f64))).collect(),
+        recon_from_base: pose(9.0),
+        tool_m: (0..3 * FRAMES).map(|i| i as f64 / 8.0).collect(),
+        height: HEIGHT,
+        width: WIDTH,
+        maps: vec![map(0, 0), map(0, 2), map(1, 0), map(1, 2)],
+    }
+}
+
+fn views() -> Vec<SourceView> {
+    vec![SourceView { camera: 0, frame: 0 }, SourceView { camera: 0, frame: 2 }]
+}
+
+pub(crate) fn conditioning() -> Conditioning {
+    let prior = GripperPrior {
+        centre_px: [2.0, 1.0],
+        depth_m: 0.4,
+        focal_px: [4.0, 4.5],
+        sigma_m: 0.1,
+    };
+    let view = |pixels: Vec<u32>| ViewConditioning {
+        link: vec![1; pixels.len()],
+        depth_m: floats(30, pixels.len()),
+        displacement_iu: floats(31, 2 * pixels.len() * 3),
+        pixels,
+        available: vec![1, 0],
+        prior,
+    };
+    Conditioning {
+        clip_id: "clip".into(),
+        height: HEIGHT,
+        width: WIDTH,
+        views: views(),
+        query_frames: vec![0, 1],
+        view_maps: vec![view(vec![0, 3, 4, 14]), view(vec![])],
+    }
+}
+
+pub(crate) fn field() -> Field {
+    let total = 2 * AREA;
+    let slice = |time, seed| {
+        let gate = small_bytes(seed, total, 4.0);
+        let open = gate.iter().filter(|&&gate| gate != 0).count();
+        let moving_raw = floats(seed + 1, open * RAW_CHANNELS);
+        TimeSlice {
+            time,
+            displacement_m: floats(seed + 2, 3 * total),
+            gate,
+            moving_raw,
+        }
+    };
+    let mut base_raw = floats(41, total * RAW_CHANNELS);
+    base_raw[3] = -0.0;
+    Field {
+        clip_id: "clip".into(),
+        frame_count: 3,
+        height: HEIGHT,
+        width: WIDTH,
+        views: views(),
+        recon_from_base: pose(9.0),
+        weights: weights(),
+        position_m: floats(40, 3 * total),
+        base_raw,
+        support: small_bytes(42, total, 2.0),
+        link: small_bytes(43, total, 3.0),
+        scale_cap_iu: (0..total)
+            .map(|i| if i % 2 == 0 { f32::INFINITY } else { 0.25 })
+            .collect(),
+        slices: vec![slice(0.0, 50), slice(0.5, 60), slice(1.0, 70)],
+        query_state: vec![
+            NamedArray {
+                name: "tokens".into(),
+                shape: vec![2, 3],
+                data: floats(80, 6),
+            },
+            NamedArray {
+                name: "nothing".into(),
+                shape: vec![0, 3],
+                data: vec![],
+            },
+        ],
+    }
+}
+
+pub(crate) fn refinement() -> Refinement {
+    let step = |update, seed| {
+        let touched = small_bytes(seed, 30, 2.0);
+        let count = touched.iter().filter(|&&flag| flag == 1).count();
+        RefinementStep {
+            update,
+            touched,
+            values: floats(seed + 1, count * RESIDUAL_CHANNELS),
+        }
+    };
+    Refinement {
+        clip_id: "clip".into(),
+        field_key: CacheKey([3; 16]),
+        gaussian_count: 30,
+        updates: 4,
+        preset: "ci".into(),
+        weights: weights(),
+        scale_residual: ScaleResidual::Linear,
+        steps: vec![step(2, 90), step(4, 95)],
+        resume_state: vec![NamedArray {
+            name: "hidden".into(),
+            shape: vec![4],
+            data: floats(99, 4),
+        }],
+    }
+}
+
+pub(crate) fn scores() -> Scores {
+    let image = ImageScore {
+        camera: "ext1".into(),
+        source_view: true,
+        frame: 1,
+        psnr: Some(21.5),
+        ssim: None,
+        lpips: None,
+        absrel: Some(0.125),
+        rmse_m: None,
+        delta1: Some(0.75),
+        absrel_scaled: None,
+        far_absrel: None,
+        support_n: 12,
+    };
+    let view = |height: u32, width: u32| RenderedView {
+        camera: "ext1".into(),
+        frame: 1,
+        height,
+        width,
+        rgb: small_bytes(100, (3 * height * width) as usize, 256.0),
+        depth_m: vec![0.0; (height * width) as usize],
+    };
+    let summary = ScoreSheet {
+        clip_id: "clip".into(),
+        method: "stage1".into(),
+        setting: "recorded".into(),
+        ssim_variant: "gaussian".into(),
+        lpips_note: Some("no weights given".into()),
+        weights: vec![weights()],
+        images: vec![image],
+        tracks: vec![TrackScore {
+            anchor: 0,
+            frame: 1,
+            epe_mm: Some(1.5),
+            n_tracks: 2,
+        }],
+        robot_depth: vec![RobotDepthScore {
+            frame: 1,
+            robot_depth_mm: None,
+            core_n: 0,
+        }],
+        n_empty_support: 1,
+        invalid_gaussians: 0,
+    };
+    Scores {
+        summary,
+        renders: vec![view(2, 4), view(1, 3)],
+    }
+}

@@ -1,0 +1,167 @@
+//! Every record survives its container, twice with the same bytes, and contradictions are refused.
+
+mod common;
+
+use common::Scratch;
+use rogs_schemas::r4c::{Reader, inspect, read_header, verify};
+use rogs_schemas::records::clip::Clip;
+use rogs_schemas::records::field::Field;
+use rogs_schemas::{Error, Record, read_record, write_record};
+
+fn survives<T: Record + std::fmt::Debug>(name: &str, record: &T) {
+    let scratch = Scratch::new(&format!("survives-{name}"));
+    let provenance = common::provenance(name);
+    let (one, two) = (scratch.file("one.r4c"), scratch.file("two.r4c"));
+    let info = write_record(&one, record, &provenance).unwrap();
+    let (back, read) = read_record::<T>(&one).unwrap();
+    // Debug text, because NaN is not equal to itself.
+    assert_eq!(format!("{back:?}"), format!("{record:?}"));
+    assert_eq!(read, info);
+    assert_eq!(read.provenance, provenance);
+    write_record(&two, &back, &provenance).unwrap();
+    assert_eq!(
+        std::fs::read(&one).unwrap(),
+        std::fs::read(&two).unwrap(),
+        "the same bytes again"
+    );
+    let header = read_header(&one).unwrap();
+    assert_eq!((header.key, &header.info), (provenance.key(), &info));
+    assert_eq!(header.schema, T::SCHEMA.name);
+    assert_eq!(verify(&one).unwrap(), header);
+    assert_eq!(
+        std::fs::read_dir(&scratch.0).unwrap().count(),
+        2,
+        "no temporary file stays"
+    );
+}
+
+#[test]
+fn every_record_survives() {
+    survives("clip", &common::clip());
+    survives("robot", &common::robot());
+    survives("conditioning", &common::conditioning());
+    survives("field", &common::field());
+    survives("refinement", &common::refinement());
+    survives("scores", &common::scores());
+}
+
+#[test]
+fn a_clip_without_optional_parts_survives() {
+    let mut clip = common::clip();
+    clip.tracks = None;
+    clip.cameras.truncate(1);
+    clip.cameras[0].rgb = None;
+    clip.query_frames.clear();
+    survives("bare-clip", &clip);
+}
+
+#[test]
+fn another_schema_is_refused() {
+    let scratch = Scratch::new("schema");
+    let path = scratch.file("a.r4c");
+    write_record(&path, &common::clip(), &common::provenance("clip")).unwrap();
+    let error = read_record::<Field>(&path).unwrap_err();
+    assert!(
+        matches!(&error, Error::WrongKind { found, .. } if found == "rogs.clip 1.0"),
+        "{error}"
+    );
+}
+
+#[test]
+fn contradictions_are_refused_on_writing() {
+    let scratch = Scratch::new("contradictions");
+    let path = scratch.file("a.r4c");
+    let mut refused = |what: &str, change: &dyn Fn(&mut Clip)| {
+        let mut clip = common::clip();
+        change(&mut clip);
+        let error = write_record(&path, &clip, &common::provenance("clip")).unwrap_err();
+        assert!(matches!(&error, Error::Inconsistent { .. }), "{what}: {error}");
+        assert!(error.to_string().contains(what), "{what}: {error}");
+        assert!(!path.exists());
+    };
+    refused("rgb has", &|clip| {
+        clip.cameras[0].rgb.as_mut().unwrap().pop();
+    });
+    refused("depth has", &|clip| {
+        clip.cameras[1].depth.as_mut().unwrap().depth_m.push(0.0)
+    });
+    refused("query frames", &|clip| clip.query_frames = vec![3]);
+    refused("source frames", &|clip| clip.source_frames = vec![2, 0]);
+    refused("anchor frame", &|clip| clip.anchor_frame = 3);
+    refused("focal length", &|clip| clip.cameras[1].intrinsics.fx = 0.0);
+    refused("joint positions", &|clip| clip.robot.positions.truncate(5));
+    refused("a joint position", &|clip| clip.robot.positions[2] = f64::NAN);
+    refused("partner", &|clip| clip.cameras[2].partner = Some(2));
+    refused("trajectory", &|clip| {
+        let rogs_schemas::records::clip::CameraMount::Trajectory { base_from_camera } = &mut clip.cameras[2].mount
+        else {
+            panic!("a trajectory")
+        };
+        base_from_camera.pop();
+    });
+    refused("track visibility", &|clip| clip.tracks.as_mut().unwrap().visible[0] = 2);
+    refused("a track lies", &|clip| clip.tracks.as_mut().unwrap().camera[0] = 9);
+    refused("clip id", &|clip| clip.clip_id = "../a".into());
+}
+
+#[test]
+fn a_missing_file_is_an_error_of_the_system() {
+    let error = read_header(std::path::Path::new("no-such-folder/no-such.r4c")).unwrap_err();
+    assert!(matches!(error, Error::Io { action: "opening", .. }));
+}
+
+#[test]
+fn one_chunk_is_read_without_the_others() {
+    use rogs_schemas::r4c::{Codec, Dtype, Frame, StreamSpec, Unit};
+    let scratch = Scratch::new("one-chunk");
+    let path = scratch.file("a.r4c");
+    let clip = common::clip();
+    write_record(&path, &clip, &common::provenance("clip")).unwrap();
+    let reader = Reader::open(&path).unwrap();
+    let spec = StreamSpec {
+        name: "rgb",
+        dtype: Dtype::U8,
+        unit: Unit::One,
+        frame: Frame::None,
+        codec: Codec::Zstd,
+        fill: "",
+    };
+    let image = reader.read_chunk::<u8>(&spec, &[3, 5, 3], [1, 2, 0, 0]).unwrap();
+    assert_eq!(image, clip.cameras[1].rgb.as_ref().unwrap()[2 * 45..]);
+    assert!(
+        reader.read_chunk::<u8>(&spec, &[3, 5, 3], [2, 0, 0, 0]).is_err(),
+        "that camera has no images"
+    );
+    assert!(
+        reader.read_chunk::<u8>(&spec, &[5, 3, 3], [1, 2, 0, 0]).is_err(),
+        "another shape"
+    );
+    let metres = StreamSpec {
+        unit: Unit::Metre,
+        ..spec
+    };
+    assert!(
+        reader.read_chunk::<u8>(&metres, &[3, 5, 3], [1, 2, 0, 0]).is_err(),
+        "another unit"
+    );
+}
+
+#[test]
+fn inspect_tells_ranges_and_sizes() {
+    let scratch = Scratch::new("inspect");
+    let path = scratch.file("a.r4c");
+    write_record(&path, &common::clip(), &common::provenance("clip")).unwrap();
+    let report = inspect(&path).unwrap();
+    let depth = report.streams.iter().find(|stream| stream.name == "depth_m").unwrap();
+    assert_eq!((depth.nan, depth.totals.chunks, depth.totals.elements), (1, 3, 3));
+    assert_eq!(depth.totals.decoded_bytes, 4 * 45);
+    assert!(depth.min.unwrap() >= 0.0 && depth.max.unwrap() < 1.0);
+    let json = serde_json::to_value(&report).unwrap();
+    assert_eq!(json["schema"], "rogs.clip");
+    assert_eq!(json["provenance"]["material"]["stage"], "clip");
+    assert_eq!(json["streams"][2]["unit"], "metre");
+    assert_eq!(
+        json["streams"][2]["stored_bytes"].as_u64().unwrap(),
+        depth.totals.stored_bytes
+    );
+}
