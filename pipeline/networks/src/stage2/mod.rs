@@ -1,1 +1,32 @@
-//! The Stage-2 refiner (`stage2-network.md`).
+//! The Stage-2 refiner: rendering feedback, pooled onto Gaussians, drives a recurrent point-attention updater whose
+//! residuals are shared by all query times (`stage2-network.md`, part B).
+//!
+//! The frozen half ([`ErrorEncoder`]: ResNet-18 front and multi-view attention) runs on slice kernels of this crate,
+//! because nothing is ever differentiated through it. The trained half ([`Updater`]: observation projection, input
+//! layer, neighbour-attention blocks, head, gates) is made of tensor operations, so that training differentiates the
+//! very code that inference runs. [`Correction`] holds what they produce, in the parameterisation of Stage 1.
+//!
+//! Lengths are internal units (3.5 per metre) unless a name ends in `_m`.
+
+pub mod config;
+pub mod correction;
+pub mod error_encoder;
+mod kernels;
+pub mod knn;
+pub mod mv_attention;
+pub mod objective;
+pub mod observation;
+pub mod resnet;
+pub mod tokens;
+pub mod updater;
+pub mod weights;
+
+pub use config::RefinerConfig;
+pub use correction::{Correction, GateGroup, POSITION_BOUND_M};
+pub use error_encoder::ErrorEncoder;
+pub use kernels::Plane;
+pub use knn::nearest_neighbours;
+pub use resnet::{FeatureMaps, ResNetFront};
+pub use tokens::TokenGrid;
+pub use updater::Updater;
+pub use weights::{parameter_shapes, seeded_parameters, verify_parameters};

@@ -1,0 +1,1 @@
+//! The training objective of Stage 2.
