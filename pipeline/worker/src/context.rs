@@ -104,6 +104,12 @@ impl Context<'_> {
         Ok(record)
     }
 
+    /// The key by which the plan names a container input; `None` for inputs that are not containers.
+    #[must_use]
+    pub fn input_key(&self, role: &str) -> Option<CacheKey> {
+        self.provenance.material.inputs.get(role)?.parse().ok()
+    }
+
     /// Writes the output with its provenance. Call exactly once.
     ///
     /// # Errors
