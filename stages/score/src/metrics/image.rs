@@ -152,17 +152,35 @@ pub fn mse(prediction: &RgbView<'_>, reference: &RgbView<'_>) -> Result<f64, Met
             minimum: 1,
         });
     }
-    let total = pulp::Arch::new().dispatch(|| {
-        let mut buffers = (vec![0.0f64; row], vec![0.0f64; row]);
-        let mut total = 0.0;
-        for start in (0..prediction.height * row).step_by(row) {
-            prediction.load(start, &mut buffers.0);
-            reference.load(start, &mut buffers.1);
-            total += squared_difference(&buffers.0, &buffers.1);
-        }
-        total
+    let total = pulp::Arch::new().dispatch(SquaredError {
+        prediction,
+        reference,
+        row,
     });
     Ok(total / (prediction.height * row) as f64)
+}
+
+/// The sum of a comparison, in a form that is compiled once for each vector instruction set.
+struct SquaredError<'a> {
+    prediction: &'a RgbView<'a>,
+    reference: &'a RgbView<'a>,
+    row: usize,
+}
+
+impl pulp::NullaryFnOnce for SquaredError<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn call(self) -> f64 {
+        let (mut a, mut b) = (vec![0.0f64; self.row], vec![0.0f64; self.row]);
+        let mut total = 0.0;
+        for start in (0..self.prediction.height * self.row).step_by(self.row) {
+            self.prediction.load(start, &mut a);
+            self.reference.load(start, &mut b);
+            total += squared_difference(&a, &b);
+        }
+        total
+    }
 }
 
 /// Peak signal-to-noise ratio in dB over the full image (paper; data range 1). Equal images give [`PSNR_CEILING_DB`].

@@ -92,7 +92,7 @@ pub fn ssim(prediction: &RgbView<'_>, reference: &RgbView<'_>, variant: SsimVari
     let arch = pulp::Arch::new();
     let sums: Vec<f64> = starts
         .par_iter()
-        .map(|&start| arch.dispatch(|| plan.band(start)))
+        .map(|&start| arch.dispatch(Band { plan: &plan, start }))
         .collect();
     Ok(sums.iter().sum::<f64>() / (plan.out_height * plan.out_width * CHANNELS) as f64)
 }
@@ -116,6 +116,21 @@ struct Plan<'a> {
     out_width: usize,
     factor: f64,
     taps: [f64; TAPS],
+}
+
+/// Some rows of a comparison, in a form that is compiled once for each vector instruction set.
+struct Band<'a> {
+    plan: &'a Plan<'a>,
+    start: usize,
+}
+
+impl pulp::NullaryFnOnce for Band<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn call(self) -> f64 {
+        self.plan.band(self.start)
+    }
 }
 
 impl Plan<'_> {
