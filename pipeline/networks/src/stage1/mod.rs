@@ -1,1 +1,22 @@
 //! The Stage-1 lifting network (`stage1-network.md`).
+//!
+//! [`Stage1::encode`] turns the source frames of a clip into what the heads read; [`Stage1::head`] gives the dense heads,
+//! of which the motion heads are asked once per query time.
+
+pub mod aggregator;
+pub mod block;
+pub mod config;
+pub mod decode;
+pub mod encoder;
+pub mod geometry;
+pub mod head;
+pub mod layout;
+pub mod losses;
+pub mod network;
+pub mod positions;
+pub mod seeded;
+
+pub use aggregator::Attention;
+pub use config::{HeadKind, Stage1Config};
+pub use geometry::Camera;
+pub use network::{Encoded, SourceFrames, Stage1};

@@ -1,0 +1,235 @@
+//! Named parameters of a network, wherever they are held.
+
+use std::collections::BTreeMap;
+
+use burn::tensor::{Device, Tensor, TensorData};
+
+use crate::{Error, Result};
+
+/// Where the values of parameters come from when they are not held in memory.
+pub trait ParameterSource: Send + Sync {
+    /// Shape of a parameter, `None` when there is none of that name.
+    fn shape(&self, name: &str) -> Option<&[usize]>;
+    /// Values of a parameter widened to f32, row-major.
+    ///
+    /// # Errors
+    /// When it is missing or cannot be read.
+    fn values(&self, name: &str) -> Result<Vec<f32>>;
+    /// All names, ascending.
+    fn names(&self) -> Vec<&str>;
+}
+
+/// One parameter in memory: its values as a flat tensor (the leaf that is trained) and its shape.
+#[derive(Debug, Clone)]
+pub struct Parameter {
+    /// Values, row-major.
+    pub values: Tensor<1>,
+    /// Shape.
+    pub shape: Vec<usize>,
+}
+
+/// Parameters by name. Tensors in memory shadow those of the source, so that a few can be trained or replaced.
+pub struct Parameters {
+    device: Device,
+    memory: BTreeMap<String, Parameter>,
+    source: Option<Box<dyn ParameterSource>>,
+}
+
+impl Parameters {
+    /// An empty store on a device.
+    #[must_use]
+    pub fn new(device: &Device) -> Self {
+        Self {
+            device: device.clone(),
+            memory: BTreeMap::new(),
+            source: None,
+        }
+    }
+
+    /// A store that reads parameters from a source each time they are asked for.
+    #[must_use]
+    pub fn streaming(source: Box<dyn ParameterSource>, device: &Device) -> Self {
+        Self {
+            device: device.clone(),
+            memory: BTreeMap::new(),
+            source: Some(source),
+        }
+    }
+
+    /// The device of the tensors.
+    #[must_use]
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// Adds or replaces a parameter.
+    ///
+    /// # Errors
+    /// When the number of values does not fit the shape.
+    pub fn insert(&mut self, name: &str, shape: &[usize], values: Vec<f32>) -> Result<()> {
+        if shape.iter().product::<usize>() != values.len() {
+            let (found, expected) = (vec![values.len()], shape.to_vec());
+            return Err(Error::WrongShape {
+                name: name.to_owned(),
+                found,
+                expected,
+            });
+        }
+        let length = values.len();
+        let values = Tensor::<1>::from_data(TensorData::new(values, [length]), &self.device);
+        self.memory.insert(
+            name.to_owned(),
+            Parameter {
+                values,
+                shape: shape.to_vec(),
+            },
+        );
+        Ok(())
+    }
+
+    /// The parameters in memory, by name; an optimiser changes their values here.
+    pub fn memory_mut(&mut self) -> &mut BTreeMap<String, Parameter> {
+        &mut self.memory
+    }
+
+    /// The parameters in memory, by name.
+    #[must_use]
+    pub fn memory(&self) -> &BTreeMap<String, Parameter> {
+        &self.memory
+    }
+
+    /// Shape of a parameter, `None` when there is none of that name.
+    #[must_use]
+    pub fn shape(&self, name: &str) -> Option<&[usize]> {
+        let streamed = || self.source.as_ref().and_then(|source| source.shape(name));
+        self.memory
+            .get(name)
+            .map(|parameter| parameter.shape.as_slice())
+            .or_else(streamed)
+    }
+
+    /// All names, ascending.
+    #[must_use]
+    pub fn names(&self) -> Vec<String> {
+        let mut names: Vec<String> = self.memory.keys().cloned().collect();
+        if let Some(source) = &self.source {
+            names.extend(source.names().into_iter().map(str::to_owned));
+        }
+        names.sort_unstable();
+        names.dedup();
+        names
+    }
+
+    /// Values of a parameter on the host.
+    ///
+    /// # Errors
+    /// When it is missing or cannot be read.
+    pub fn host(&self, name: &str) -> Result<Vec<f32>> {
+        if let Some(parameter) = self.memory.get(name) {
+            return to_host(parameter.values.clone());
+        }
+        match &self.source {
+            Some(source) => source.values(name),
+            None => Err(Error::MissingTensor { name: name.to_owned() }),
+        }
+    }
+
+    /// A parameter as a tensor of a known shape.
+    ///
+    /// # Errors
+    /// When it is missing, cannot be read, or has another shape.
+    pub fn get<const D: usize>(&self, name: &str, shape: [usize; D]) -> Result<Tensor<D>> {
+        let found = self
+            .shape(name)
+            .ok_or_else(|| Error::MissingTensor { name: name.to_owned() })?;
+        if found != shape {
+            let (found, expected) = (found.to_vec(), shape.to_vec());
+            return Err(Error::WrongShape {
+                name: name.to_owned(),
+                found,
+                expected,
+            });
+        }
+        if let Some(parameter) = self.memory.get(name) {
+            return Ok(parameter.values.clone().reshape(shape));
+        }
+        let values = self.host(name)?;
+        Ok(Tensor::<D>::from_data(TensorData::new(values, shape), &self.device))
+    }
+
+    /// The part of the store whose names begin with `prefix` and a dot.
+    #[must_use]
+    pub fn scope(&self, prefix: &str) -> Scope<'_> {
+        Scope {
+            parameters: self,
+            prefix: prefix.to_owned(),
+        }
+    }
+}
+
+/// The parameters below one prefix.
+#[derive(Clone)]
+pub struct Scope<'a> {
+    parameters: &'a Parameters,
+    prefix: String,
+}
+
+impl<'a> Scope<'a> {
+    /// The scope `name` within this one.
+    #[must_use]
+    pub fn child(&self, name: impl std::fmt::Display) -> Self {
+        Self {
+            parameters: self.parameters,
+            prefix: self.full(&name.to_string()),
+        }
+    }
+
+    /// A parameter of this scope.
+    ///
+    /// # Errors
+    /// As [`Parameters::get`].
+    pub fn get<const D: usize>(&self, name: &str, shape: [usize; D]) -> Result<Tensor<D>> {
+        self.parameters.get(&self.full(name), shape)
+    }
+
+    /// Whether the scope has a parameter of that name.
+    #[must_use]
+    pub fn has(&self, name: &str) -> bool {
+        self.shape(name).is_some()
+    }
+
+    /// Shape of a parameter of this scope.
+    #[must_use]
+    pub fn shape(&self, name: &str) -> Option<&'a [usize]> {
+        self.parameters.shape(&self.full(name))
+    }
+
+    /// The device of the tensors.
+    #[must_use]
+    pub fn device(&self) -> &'a Device {
+        self.parameters.device()
+    }
+
+    fn full(&self, name: &str) -> String {
+        if self.prefix.is_empty() {
+            name.to_owned()
+        } else {
+            format!("{}.{name}", self.prefix)
+        }
+    }
+}
+
+/// Values of a tensor on the host, row-major f32.
+///
+/// # Errors
+/// When the device cannot hand them over.
+pub fn to_host<const D: usize>(tensor: Tensor<D>) -> Result<Vec<f32>> {
+    let read = |error| Error::BadInput(format!("values could not be read from the device: {error}"));
+    tensor.try_to_vec_as::<f32>().map_err(read)
+}
+
+/// A tensor on a device from host values.
+#[must_use]
+pub fn from_host<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) -> Tensor<D> {
+    Tensor::<D>::from_data(TensorData::new(values, shape), device)
+}

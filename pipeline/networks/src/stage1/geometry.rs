@@ -1,0 +1,144 @@
+//! Cameras and times as the network sees them: ray maps, pose numbers, time encodings, unprojection.
+
+use crate::{Error, Result};
+
+/// A source camera in internal units: camera-to-reconstruction pose (OpenCV axes) and intrinsics divided by the image
+/// size (pixel column j has u = (j + 0.5) / W).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Camera {
+    /// Rotation of recon_from_camera, row-major.
+    pub rotation: [f64; 9],
+    /// Translation of recon_from_camera, internal units.
+    pub translation_iu: [f64; 3],
+    /// fx / W, fy / H, cx / W, cy / H.
+    pub focal_centre: [f64; 4],
+}
+
+impl Camera {
+    /// From a row-major 4x4 camera-to-reconstruction matrix in internal units.
+    #[must_use]
+    pub fn from_matrix(matrix: &[f64; 16], focal_centre: [f64; 4]) -> Self {
+        let m = matrix;
+        let rotation = [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]];
+        Self {
+            rotation,
+            translation_iu: [m[3], m[7], m[11]],
+            focal_centre,
+        }
+    }
+
+    /// Checks that every number is finite and the focal lengths positive.
+    ///
+    /// # Errors
+    /// Says what is wrong.
+    pub fn validate(&self) -> Result<()> {
+        let numbers = self
+            .rotation
+            .iter()
+            .chain(&self.translation_iu)
+            .chain(&self.focal_centre);
+        if numbers.into_iter().any(|number| !number.is_finite()) {
+            return Err(Error::BadInput(
+                "a camera pose or intrinsic number is not finite".into(),
+            ));
+        }
+        if self.focal_centre[0] <= 0.0 || self.focal_centre[1] <= 0.0 {
+            return Err(Error::BadInput("a focal length is not positive".into()));
+        }
+        Ok(())
+    }
+
+    /// Direction in the reconstruction frame of the point at depth 1 seen at (u, v).
+    fn ray(&self, u: f64, v: f64) -> [f64; 3] {
+        let [fx, fy, cx, cy] = self.focal_centre;
+        let local = [(u - cx) / fx, (v - cy) / fy, 1.0];
+        let r = &self.rotation;
+        std::array::from_fn(|row| r[3 * row] * local[0] + r[3 * row + 1] * local[1] + r[3 * row + 2] * local[2])
+    }
+
+    /// Ray map [o x d, d]. `[6, H, W]`
+    #[must_use]
+    pub fn ray_map(&self, height: usize, width: usize) -> Vec<f32> {
+        let area = height * width;
+        let mut map = vec![0.0f32; 6 * area];
+        let o = self.translation_iu;
+        for row in 0..height {
+            for column in 0..width {
+                let ray = self.ray((column as f64 + 0.5) / width as f64, (row as f64 + 0.5) / height as f64);
+                let norm = (ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]).sqrt();
+                let d = ray.map(|value| value / norm);
+                let moment = [
+                    o[1] * d[2] - o[2] * d[1],
+                    o[2] * d[0] - o[0] * d[2],
+                    o[0] * d[1] - o[1] * d[0],
+                ];
+                for (channel, value) in moment.into_iter().chain(d).enumerate() {
+                    map[channel * area + row * width + column] = value as f32;
+                }
+            }
+        }
+        map
+    }
+
+    /// The nine numbers of the pose token: translation and quaternion (x, y, z, w) of the world-to-camera transform, and
+    /// the vertical and horizontal fields of view.
+    #[must_use]
+    pub fn pose_numbers(&self) -> [f32; 9] {
+        let r = &self.rotation;
+        // Inverse of a rigid transform: transposed rotation.
+        let m: [[f64; 3]; 3] = std::array::from_fn(|row| std::array::from_fn(|column| r[3 * column + row]));
+        let t: [f64; 3] = std::array::from_fn(|row| -(0..3).map(|k| m[row][k] * self.translation_iu[k]).sum::<f64>());
+        let q = quaternion(&m);
+        let [fx, fy, ..] = self.focal_centre;
+        let fov = |focal: f64| 2.0 * libm::atan(0.5 / focal);
+        [t[0], t[1], t[2], q[0], q[1], q[2], q[3], fov(fy), fov(fx)].map(|number| number as f32)
+    }
+
+    /// Points of a depth map in the reconstruction frame, internal units. `[H, W] -> [H, W, 3]`
+    #[must_use]
+    pub fn unproject(&self, depth_iu: &[f32], height: usize, width: usize) -> Vec<f32> {
+        let mut points = Vec::with_capacity(depth_iu.len() * 3);
+        for row in 0..height {
+            for column in 0..width {
+                let ray = self.ray((column as f64 + 0.5) / width as f64, (row as f64 + 0.5) / height as f64);
+                let depth = f64::from(depth_iu[row * width + column]);
+                points.extend((0..3).map(|axis| (ray[axis] * depth + self.translation_iu[axis]) as f32));
+            }
+        }
+        points
+    }
+}
+
+/// Unit quaternion (x, y, z, w) of a rotation with w >= 0, by the largest of the four candidates, first on ties
+/// (`stage1-network.md` section 4).
+fn quaternion(m: &[[f64; 3]; 3]) -> [f64; 4] {
+    let (a, b, c) = (m[0][0], m[1][1], m[2][2]);
+    let square = [1.0 + a + b + c, 1.0 + a - b - c, 1.0 - a + b - c, 1.0 - a - b + c];
+    let size = square.map(|value| value.max(0.0).sqrt());
+    let mut best = 0;
+    for candidate in 1..4 {
+        if size[candidate] > size[best] {
+            best = candidate;
+        }
+    }
+    let (difference_x, difference_y, difference_z) = (m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]);
+    let (sum_xy, sum_xz, sum_yz) = (m[1][0] + m[0][1], m[0][2] + m[2][0], m[1][2] + m[2][1]);
+    let own = size[best] * size[best];
+    let raw = match best {
+        0 => [difference_x, difference_y, difference_z, own],
+        1 => [own, sum_xy, sum_xz, difference_x],
+        2 => [sum_xy, own, sum_yz, difference_y],
+        _ => [sum_xz, sum_yz, own, difference_z],
+    };
+    let scale = if raw[3] < 0.0 { -0.5 } else { 0.5 } / size[best];
+    raw.map(|value| value * scale)
+}
+
+/// Time encoding: sines then cosines of 2^k t, k = 0 .. frequencies - 1, in f32.
+#[must_use]
+pub fn encode_time(time: f32, frequencies: usize) -> Vec<f32> {
+    let angle = |power: usize| time * libm::exp2f(power as f32);
+    let sines = (0..frequencies).map(|power| libm::sinf(angle(power)));
+    let cosines = (0..frequencies).map(|power| libm::cosf(angle(power)));
+    sines.chain(cosines).collect()
+}

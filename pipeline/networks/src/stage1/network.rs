@@ -1,0 +1,150 @@
+//! The lifting network as a whole.
+
+use burn::tensor::Tensor;
+
+use super::aggregator::{Aggregator, Attention};
+use super::config::{HeadKind, Stage1Config};
+use super::encoder::Encoder;
+use super::geometry::Camera;
+use super::head::{DenseHead, FkBranch, TAP_EPSILON};
+use crate::ops::standardise;
+use crate::parameters::Parameters;
+use crate::{Error, Result};
+
+/// Prefix of every tensor of the released network.
+pub const PREFIX: &str = "backbone";
+
+/// The Stage-1 network: a configuration and the parameters it runs with.
+pub struct Stage1 {
+    /// Sizes.
+    pub config: Stage1Config,
+    /// Weights.
+    pub parameters: Parameters,
+}
+
+/// The source frames of one clip in token order: camera-major, wrist first, times ascending.
+pub struct SourceFrames {
+    /// RGB in [0, 1]. `[S, 3, H, W]`
+    pub images: Tensor<4>,
+    /// Camera of each frame, internal units. `[S]`
+    pub cameras: Vec<Camera>,
+    /// Normalised time of each frame. `[S]`
+    pub times: Vec<f32>,
+    /// What global blocks see.
+    pub attention: Attention,
+}
+
+/// What the heads read: the standardised patch tokens of the tapped pairs.
+#[derive(Debug, Clone)]
+pub struct Encoded {
+    /// Per tap, before the affine map of a head's norm. `4 x [S, N, 2C]`
+    pub taps: [Tensor<3>; 4],
+    /// Patch grid, rows and columns.
+    pub grid: [usize; 2],
+    /// Image height and width.
+    pub size: [usize; 2],
+}
+
+impl Encoded {
+    /// Number of frames.
+    #[must_use]
+    pub fn frames(&self) -> usize {
+        self.taps[0].dims()[0]
+    }
+
+    /// The taps of some frames; heads give the same result however frames are split.
+    #[must_use]
+    pub fn frames_at(&self, start: usize, count: usize) -> Self {
+        Self {
+            taps: self.taps.clone().map(|tap| tap.narrow(0, start, count)),
+            ..*self
+        }
+    }
+}
+
+impl Stage1 {
+    /// A network over parameters, after checking the configuration.
+    ///
+    /// # Errors
+    /// When the configuration is not possible.
+    pub fn new(config: Stage1Config, parameters: Parameters) -> Result<Self> {
+        config.validate()?;
+        Ok(Self { config, parameters })
+    }
+
+    /// The image encoder.
+    #[must_use]
+    pub fn encoder(&self) -> Encoder<'_> {
+        Encoder::new(self.parameters.scope("backbone.encoder"), &self.config)
+    }
+
+    /// The aggregator.
+    #[must_use]
+    pub fn aggregator(&self) -> Aggregator<'_> {
+        Aggregator::new(&self.parameters, &self.config)
+    }
+
+    /// One of the dense heads.
+    ///
+    /// # Errors
+    /// When a tensor is missing or has another shape.
+    pub fn head(&self, kind: HeadKind) -> Result<DenseHead> {
+        DenseHead::load(&self.parameters.scope(PREFIX), kind, &self.config)
+    }
+
+    /// The FK-conditioning branch; `None` when the weights have none (the released ones do not).
+    ///
+    /// # Errors
+    /// When a tensor is missing or has another shape.
+    pub fn fk_branch(&self) -> Result<Option<FkBranch>> {
+        let scope = self.parameters.scope("fk_branch");
+        if scope.has("conv1.weight") {
+            FkBranch::load(&scope, self.config.fk_hidden).map(Some)
+        } else {
+            Ok(None)
+        }
+    }
+
+    /// Runs the encoder and the aggregator: everything that does not depend on a query time.
+    ///
+    /// # Errors
+    /// When a tensor is missing or has another shape, or the frames do not fit together.
+    pub fn encode(&self, frames: SourceFrames) -> Result<Encoded> {
+        let tokens = self.encoder().forward(frames.images.clone())?;
+        self.encode_tokens(frames, tokens)
+    }
+
+    /// The same with patch tokens from elsewhere (the latent adapter). `tokens: [S, N, C]`
+    ///
+    /// # Errors
+    /// As [`Self::encode`].
+    pub fn encode_tokens(&self, frames: SourceFrames, tokens: Tensor<3>) -> Result<Encoded> {
+        let SourceFrames {
+            images,
+            cameras,
+            times,
+            attention,
+        } = frames;
+        let [count, _, height, width] = images.dims();
+        drop(images);
+        if cameras.len() != count || times.len() != count {
+            let (poses, times) = (cameras.len(), times.len());
+            return Err(Error::BadInput(format!(
+                "{count} source images come with {poses} cameras and {times} times"
+            )));
+        }
+        cameras.iter().try_for_each(Camera::validate)?;
+        let grid = self.config.grid(height, width)?;
+        let aggregator = self.aggregator();
+        let rays = aggregator.normalise_rays(aggregator.ray_embedding(&cameras, [height, width])?)?;
+        let tokens = aggregator.tokens(tokens + rays, &cameras, &times)?;
+        let taps = aggregator.forward(tokens, grid, &attention)?;
+        let first = self.config.patch_start();
+        let taps = taps.map(|tap| standardise(tap.narrow(1, first, grid[0] * grid[1]), TAP_EPSILON));
+        Ok(Encoded {
+            taps,
+            grid,
+            size: [height, width],
+        })
+    }
+}
