@@ -1,1 +1,23 @@
 //! Gaussian fields, spherical harmonics and the differentiable rasteriser.
+
+pub mod camera;
+pub mod contributions;
+pub mod error;
+pub mod field;
+pub mod gaussians;
+mod order;
+mod project;
+pub mod render;
+pub mod sh;
+mod simd;
+mod tile;
+
+pub use camera::{Camera, Mode, RasterConfig};
+pub use contributions::{
+    Contributions, Eligible, pool_in_parts, render_views_with_contributions, render_with_contributions,
+};
+pub use error::{Result, SplatError};
+pub use field::{TimedField, field_camera};
+pub use gaussians::{Colour, Gaussians};
+pub use render::{Counts, Render, render, render_views};
+pub use simd::SimdLevel;

@@ -1,0 +1,72 @@
+//! Errors of the rasteriser, the fields and the PLY files.
+
+use std::path::PathBuf;
+
+/// Result of this crate.
+pub type Result<T> = std::result::Result<T, SplatError>;
+
+/// What can be wrong with a call.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SplatError {
+    /// An array does not have the length that the number of Gaussians, pixels or channels asks for.
+    #[error("{array} has {found} values, expected {expected} ({meaning})")]
+    Shape {
+        /// Which array.
+        array: &'static str,
+        /// Its length.
+        found: usize,
+        /// The length it must have.
+        expected: usize,
+        /// How the expected length comes about.
+        meaning: String,
+    },
+    /// A camera or a setting that no image can be rendered with.
+    #[error("{what}: {value}")]
+    Setting {
+        /// What is wrong, with what would be right.
+        what: &'static str,
+        /// The value found.
+        value: String,
+    },
+    /// A field is asked for something that it does not hold, or its arrays contradict each other.
+    #[error("field of clip `{clip}`: {what}")]
+    Field {
+        /// Clip id of the field.
+        clip: String,
+        /// What is wrong.
+        what: String,
+    },
+    /// A PLY file that is not a 3DGS PLY, or is damaged.
+    #[error("not a readable 3DGS PLY: {what}")]
+    Ply {
+        /// What is wrong and where.
+        what: String,
+    },
+    /// The operating system refused.
+    #[error("{action} `{}`", path.display())]
+    Io {
+        /// What was tried.
+        action: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// Why it failed.
+        source: std::io::Error,
+    },
+}
+
+impl SplatError {
+    /// Checks an array's length.
+    pub(crate) fn check(array: &'static str, found: usize, expected: usize, meaning: &str) -> Result<()> {
+        if found == expected {
+            Ok(())
+        } else {
+            Err(Self::Shape {
+                array,
+                found,
+                expected,
+                meaning: meaning.to_owned(),
+            })
+        }
+    }
+}

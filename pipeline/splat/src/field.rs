@@ -1,0 +1,542 @@
+//! From a stored field to Gaussians at a stored time.
+//!
+//! Activations are those of `stage1-network.md` section 7, corrections those of `stage2-network.md` section B.2. Files
+//! hold metres; the Gaussians come out in internal units, 3.5 per metre. The displacement of a Gaussian between two
+//! times is read from the stored displacement streams alone, so no correction can change it.
+
+use rayon::prelude::*;
+use rogs_schemas::records::field::{Field, GATE_ATTRIBUTES, GATE_OPACITY, RAW_CHANNELS, TimeSlice};
+use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
+use rogs_schemas::units::{UNITS_PER_METRE, iu_from_m, m_from_iu};
+use rogs_schemas::{Intrinsics, RigidPose};
+
+use crate::camera::Camera;
+use crate::error::{Result, SplatError};
+use crate::gaussians::{Colour, Gaussians};
+use crate::render::Render;
+use crate::sh;
+
+/// Largest activated scale, internal units.
+pub const MAX_SCALE_IU: f32 = 0.3;
+/// Activated scale per unit of softplus, internal units.
+pub const SCALE_STEP_IU: f32 = 0.001;
+/// Smallest scale under linear residuals, internal units.
+pub const MIN_LINEAR_SCALE_IU: f32 = 1e-6;
+
+const CHUNK: usize = 8192;
+
+/// A field, optionally with the corrections of Stage 2, ready to be asked for its stored times.
+#[derive(Debug, Clone, Copy)]
+pub struct TimedField<'a> {
+    field: &'a Field,
+    correction: Option<(&'a RefinementStep, ScaleResidual)>,
+}
+
+impl<'a> TimedField<'a> {
+    /// The field of Stage 1.
+    ///
+    /// # Errors
+    /// When the arrays of the record contradict each other.
+    pub fn new(field: &'a Field) -> Result<Self> {
+        let timed = Self {
+            field,
+            correction: None,
+        };
+        let n = field.len();
+        let expect = |what: String, found: usize, expected: usize| {
+            if found == expected {
+                Ok(())
+            } else {
+                Err(timed.error(format!("{what} has {found} values, expected {expected}")))
+            }
+        };
+        expect("position_m".into(), field.position_m.len(), 3 * n)?;
+        expect("base_raw".into(), field.base_raw.len(), RAW_CHANNELS * n)?;
+        expect("scale_cap_iu".into(), field.scale_cap_iu.len(), n)?;
+        for slice in &field.slices {
+            let at = |what: &str| format!("{what} at time {}", slice.time);
+            expect(at("displacement_m"), slice.displacement_m.len(), 3 * n)?;
+            expect(at("gate"), slice.gate.len(), n)?;
+            let moving = slice.gate.iter().filter(|&&g| g != 0).count();
+            expect(at("moving_raw"), slice.moving_raw.len(), RAW_CHANNELS * moving)?;
+        }
+        Ok(timed)
+    }
+
+    /// The same field with the corrections of one step of Stage 2.
+    ///
+    /// # Errors
+    /// When the step belongs to another number of Gaussians.
+    pub fn with_correction(self, step: &'a RefinementStep, scale: ScaleResidual) -> Result<Self> {
+        let n = self.field.len();
+        let touched = step.touched.iter().filter(|&&t| t != 0).count();
+        if step.touched.len() != n || step.values.len() != RESIDUAL_CHANNELS * touched {
+            return Err(self.error(format!(
+                "the correction after {} updates has {} marks and {} values, expected {n} marks and {} values",
+                step.update,
+                step.touched.len(),
+                step.values.len(),
+                RESIDUAL_CHANNELS * touched
+            )));
+        }
+        Ok(Self {
+            correction: (touched > 0).then_some((step, scale)),
+            ..self
+        })
+    }
+
+    /// The same field with the last corrections of a refinement; unchanged when it has none.
+    ///
+    /// # Errors
+    /// When the refinement belongs to another field.
+    pub fn with_refinement(self, refinement: &'a Refinement) -> Result<Self> {
+        if refinement.clip_id != self.field.clip_id || refinement.gaussian_count != self.field.len() as u64 {
+            return Err(self.error(format!(
+                "the refinement is one of clip `{}` with {} Gaussians, the field has {}",
+                refinement.clip_id,
+                refinement.gaussian_count,
+                self.field.len()
+            )));
+        }
+        match refinement.steps.last() {
+            Some(step) => self.with_correction(step, refinement.scale_residual),
+            None => Ok(self),
+        }
+    }
+
+    fn error(&self, what: String) -> SplatError {
+        SplatError::Field {
+            clip: self.field.clip_id.clone(),
+            what,
+        }
+    }
+
+    fn slice(&self, time: f64) -> Result<&'a TimeSlice> {
+        self.field.slice_at(time).ok_or_else(|| {
+            let times: Vec<String> = self.field.slices.iter().map(|s| s.time.to_string()).collect();
+            self.error(format!(
+                "no values are stored at time {time}; stored times: {}",
+                times.join(", ")
+            ))
+        })
+    }
+
+    /// The Gaussians at a stored time, internal units, reconstruction frame. Row `n` is Gaussian `n` of the field.
+    ///
+    /// # Errors
+    /// When the time is not stored.
+    pub fn gaussians(&self, time: f64) -> Result<Gaussians> {
+        let slice = self.slice(time)?;
+        let field = self.field;
+        let n = field.len();
+        let moving = starts(&slice.gate, RAW_CHANNELS);
+        let touched = self
+            .correction
+            .map(|(step, _)| starts(&step.touched, RESIDUAL_CHANNELS));
+        let degree = self.correction.map_or(0, |(step, _)| highest_degree(step));
+        let colours = if self.correction.is_some() {
+            3 * sh::coefficient_count(degree)
+        } else {
+            3
+        };
+        let mut out = Gaussians {
+            means: vec![0.0; 3 * n],
+            quats: vec![0.0; 4 * n],
+            scales: vec![0.0; 3 * n],
+            opacities: vec![0.0; n],
+            colour: Colour::Rgb(Vec::new()),
+            extra: Vec::new(),
+            extra_channels: 0,
+        };
+        let mut colour = vec![0.0; colours * n];
+        (out.means.par_chunks_mut(3 * CHUNK))
+            .zip(out.quats.par_chunks_mut(4 * CHUNK))
+            .zip(out.scales.par_chunks_mut(3 * CHUNK))
+            .zip(out.opacities.par_chunks_mut(CHUNK))
+            .zip(colour.par_chunks_mut(colours * CHUNK))
+            .enumerate()
+            .for_each(|(chunk, ((((means, quats), scales), opacities), colour))| {
+                let first = chunk * CHUNK;
+                let mut moving = slice.moving_raw[moving[chunk]..].chunks_exact(RAW_CHANNELS);
+                let mut residuals = self.correction.zip(touched.as_ref()).map(|((step, scale), starts)| {
+                    (
+                        step,
+                        scale,
+                        step.values[starts[chunk]..].chunks_exact(RESIDUAL_CHANNELS),
+                    )
+                });
+                for local in 0..opacities.len() {
+                    let index = first + local;
+                    let raw = raw_at(field, slice.gate[index], index, &mut moving);
+                    let residual = residuals.as_mut().and_then(|(step, scale, values)| {
+                        if step.touched[index] == 0 {
+                            None
+                        } else {
+                            values.next().map(|v| (v, *scale))
+                        }
+                    });
+                    let one = activate(&raw, field.scale_cap_iu[index], residual);
+                    for k in 0..3 {
+                        let delta = residual.map_or(0.0, |(v, _)| v[k]);
+                        let centre = (field.position_m[3 * index + k] + delta) + slice.displacement_m[3 * index + k];
+                        means[3 * local + k] = iu_from_m(centre);
+                    }
+                    quats[4 * local..4 * local + 4].copy_from_slice(&one.quat);
+                    scales[3 * local..3 * local + 3].copy_from_slice(&one.scale);
+                    opacities[local] = one.opacity;
+                    let to = &mut colour[colours * local..colours * (local + 1)];
+                    if self.correction.is_some() {
+                        harmonics(one.rgb, residual.map(|(v, _)| v), to);
+                    } else {
+                        to.copy_from_slice(&one.rgb);
+                    }
+                }
+            });
+        out.colour = match self.correction {
+            Some(_) => Colour::Sh {
+                degree,
+                coefficients: colour,
+            },
+            None => Colour::Rgb(colour),
+        };
+        Ok(out)
+    }
+
+    /// Displacement of every Gaussian from one stored time to another, `d(to) - d(from)`, metres, reconstruction frame.
+    /// It reads the stored displacements and nothing else: the same bits with and without corrections. `[N, 3]`
+    ///
+    /// # Errors
+    /// When a time is not stored.
+    pub fn displacement_m(&self, from: f64, to: f64) -> Result<Vec<f32>> {
+        let (from, to) = (self.slice(from)?, self.slice(to)?);
+        Ok(to
+            .displacement_m
+            .iter()
+            .zip(&from.displacement_m)
+            .map(|(to, from)| to - from)
+            .collect())
+    }
+
+    /// The Gaussians at `time` with their displacement `from -> to` in metres as three extra channels, for rendered
+    /// displacement images (`scoring.md` section 6).
+    ///
+    /// # Errors
+    /// When a time is not stored.
+    pub fn gaussians_with_displacement(&self, time: f64, from: f64, to: f64) -> Result<Gaussians> {
+        let extra = self.displacement_m(from, to)?;
+        Ok(Gaussians {
+            extra,
+            extra_channels: 3,
+            ..self.gaussians(time)?
+        })
+    }
+}
+
+/// A camera for the Gaussians of a field, from its pose in the reconstruction frame in metres.
+#[must_use]
+pub fn field_camera(width: u32, height: u32, intrinsics: &Intrinsics, camera_from_recon: &RigidPose) -> Camera {
+    Camera::new(width, height, intrinsics, camera_from_recon, UNITS_PER_METRE)
+}
+
+impl Render {
+    /// Expected depth in metres of a render in internal units. `[H, W]`
+    #[must_use]
+    pub fn depth_expected_m(&self) -> Vec<f32> {
+        self.depth_expected.iter().map(|&d| m_from_iu(d)).collect()
+    }
+}
+
+/// Where the values of every chunk begin in an array that holds values of marked elements only.
+fn starts(marks: &[u8], channels: usize) -> Vec<usize> {
+    let mut total = 0;
+    marks
+        .chunks(CHUNK)
+        .map(|chunk| {
+            let start = total;
+            total += channels * chunk.iter().filter(|&&m| m != 0).count();
+            start
+        })
+        .collect()
+}
+
+/// Raw attributes of a Gaussian: query-time values where the gate is open, base values elsewhere.
+fn raw_at<'v>(
+    field: &Field,
+    gate: u8,
+    index: usize,
+    moving: &mut impl Iterator<Item = &'v [f32]>,
+) -> [f32; RAW_CHANNELS] {
+    let mut raw = [0.0; RAW_CHANNELS];
+    raw.copy_from_slice(&field.base_raw[RAW_CHANNELS * index..RAW_CHANNELS * (index + 1)]);
+    if gate != 0
+        && let Some(values) = moving.next()
+    {
+        if gate & GATE_ATTRIBUTES != 0 {
+            raw[..10].copy_from_slice(&values[..10]);
+        }
+        if gate & GATE_OPACITY != 0 {
+            raw[10] = values[10];
+        }
+    }
+    raw
+}
+
+/// Activated attributes of one Gaussian.
+struct Activated {
+    rgb: [f32; 3],
+    scale: [f32; 3],
+    quat: [f32; 4],
+    opacity: f32,
+}
+
+/// Stage-1 activations of raw attributes (colour 3, scale 3, rotation 4, opacity 1), with the residuals added where the
+/// parameterisation says. The residual's position and harmonics are not used here.
+fn activate(raw: &[f32; RAW_CHANNELS], cap: f32, residual: Option<(&[f32], ScaleResidual)>) -> Activated {
+    let add = |channel: usize| residual.map_or(0.0, |(v, _)| v[channel]);
+    let scale = std::array::from_fn(|k| {
+        let own = raw[3 + k];
+        let scale = match residual {
+            Some((v, ScaleResidual::PreActivation)) => activate_scale(own + v[3 + k]),
+            Some((v, ScaleResidual::Linear)) => (activate_scale(own) + v[3 + k]).max(MIN_LINEAR_SCALE_IU),
+            None => activate_scale(own),
+        };
+        scale.min(cap)
+    });
+    Activated {
+        rgb: std::array::from_fn(|k| 0.5 + 0.5 * libm::tanhf(raw[k])),
+        scale,
+        quat: std::array::from_fn(|k| raw[6 + k] + add(6 + k)),
+        opacity: logistic(2.0 * (raw[10] - 1.0) + add(10)),
+    }
+}
+
+/// `min(0.3, 0.001 softplus(raw))`, internal units.
+#[must_use]
+pub fn activate_scale(raw: f32) -> f32 {
+    let softplus = raw.max(0.0) + libm::log1pf(libm::expf(-raw.abs()));
+    (SCALE_STEP_IU * softplus).min(MAX_SCALE_IU)
+}
+
+/// `1 / (1 + exp(-x))` without overflow.
+#[must_use]
+pub fn logistic(x: f32) -> f32 {
+    let e = libm::expf(-x.abs());
+    if x >= 0.0 { 1.0 / (1.0 + e) } else { e / (1.0 + e) }
+}
+
+/// Harmonics of a plain colour plus the residuals, which are colour-major (16 of red, 16 of green, 16 of blue).
+fn harmonics(rgb: [f32; 3], residual: Option<&[f32]>, to: &mut [f32]) {
+    to.fill(0.0);
+    for c in 0..3 {
+        to[c] = sh::coefficient_from_colour(rgb[c]);
+        if let Some(values) = residual {
+            for (k, coefficient) in to.chunks_exact_mut(3).enumerate() {
+                coefficient[c] += values[11 + 16 * c + k];
+            }
+        }
+    }
+}
+
+/// Highest degree in which any residual of a step is not zero.
+fn highest_degree(step: &RefinementStep) -> usize {
+    let highest = |values: &[f32]| {
+        let used = (0..16)
+            .rev()
+            .find(|k| (0..3).any(|c| values[11 + 16 * c + k] != 0.0))
+            .unwrap_or(0);
+        [0, 1, 1, 1, 2, 2, 2, 2, 2, 3, 3, 3, 3, 3, 3, 3][used]
+    };
+    step.values
+        .par_chunks_exact(RESIDUAL_CHANNELS)
+        .map(highest)
+        .max()
+        .unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use rogs_schemas::records::clip::SourceView;
+    use rogs_schemas::records::field::WeightsInfo;
+
+    use super::*;
+
+    fn field() -> Field {
+        let n = 6;
+        let raw = |k: usize| ((k * 7919 % 97) as f32 / 97.0 - 0.5) * 4.0;
+        let slice = |time: f64, gate: Vec<u8>, shift: f32| {
+            let moving = gate.iter().filter(|&&g| g != 0).count();
+            TimeSlice {
+                time,
+                displacement_m: (0..3 * n).map(|k| raw(k + 5) * shift).collect(),
+                gate,
+                moving_raw: (0..RAW_CHANNELS * moving).map(|k| raw(k + 11)).collect(),
+            }
+        };
+        Field {
+            clip_id: "clip".into(),
+            frame_count: 17,
+            height: 1,
+            width: 6,
+            views: vec![SourceView { camera: 0, frame: 0 }],
+            recon_from_base: RigidPose::IDENTITY,
+            weights: WeightsInfo {
+                trained: false,
+                configuration: String::new(),
+                description: String::new(),
+                hash: String::new(),
+            },
+            position_m: (0..3 * n).map(|k| raw(k + 3)).collect(),
+            base_raw: (0..RAW_CHANNELS * n).map(raw).collect(),
+            support: vec![0; n],
+            link: vec![255; n],
+            scale_cap_iu: vec![f32::INFINITY, 1e-4, f32::INFINITY, 1.0, 1.0, 1.0],
+            slices: vec![slice(0.0, vec![0; n], 0.0), slice(0.5, vec![0, 3, 1, 0, 2, 0], 0.3)],
+            query_state: Vec::new(),
+        }
+    }
+
+    fn step(value: impl Fn(usize) -> f32) -> RefinementStep {
+        RefinementStep {
+            update: 1,
+            touched: vec![1, 0, 1, 0, 0, 1],
+            values: (0..3 * RESIDUAL_CHANNELS).map(value).collect(),
+        }
+    }
+
+    #[test]
+    fn activations_and_gates_follow_the_specification() {
+        let field = field();
+        let gaussians = TimedField::new(&field).unwrap().gaussians(0.5).unwrap();
+        let raw = field.slices[1].raw(&field.base_raw);
+        for n in 0..6 {
+            let raw: Vec<f64> = raw[RAW_CHANNELS * n..][..RAW_CHANNELS]
+                .iter()
+                .map(|&v| f64::from(v))
+                .collect();
+            for k in 0..3 {
+                let cap = f64::from(field.scale_cap_iu[n]);
+                let scale = (0.001 * libm::log1p(libm::exp(raw[3 + k]))).min(0.3).min(cap);
+                assert!((f64::from(gaussians.scales[3 * n + k]) - scale).abs() < 1e-9);
+                let rgb = 0.5 + 0.5 * libm::tanh(raw[k]);
+                assert!((f64::from(gaussians.colour.values()[3 * n + k]) - rgb).abs() < 1e-6);
+                let metres = field.position_m[3 * n + k] + field.slices[1].displacement_m[3 * n + k];
+                assert_eq!(gaussians.means[3 * n + k], metres * 3.5);
+            }
+            let opacity = 0.5 + 0.5 * libm::tanh(raw[10] - 1.0);
+            assert!((f64::from(gaussians.opacities[n]) - opacity).abs() < 1e-6);
+            for k in 0..4 {
+                assert_eq!(f64::from(gaussians.quats[4 * n + k]), raw[6 + k]);
+            }
+        }
+    }
+
+    #[test]
+    fn corrections_act_on_touched_gaussians_in_the_right_parameterisation() {
+        let field = field();
+        let plain = TimedField::new(&field).unwrap();
+        let step = step(|k| ((k % RESIDUAL_CHANNELS) as f32 + 1.0) * 1e-3);
+        let base = plain.gaussians(0.5).unwrap();
+        let corrected = plain
+            .with_correction(&step, ScaleResidual::PreActivation)
+            .unwrap()
+            .gaussians(0.5)
+            .unwrap();
+        let Colour::Sh {
+            degree: 3,
+            coefficients,
+        } = &corrected.colour
+        else {
+            panic!("degree 3 expected")
+        };
+        let raw = field.slices[1].raw(&field.base_raw);
+        for n in 0..6 {
+            let on = if [0, 2, 5].contains(&n) { 1.0 } else { 0.0_f32 };
+            let metres = (field.position_m[3 * n] + on * 1e-3) + field.slices[1].displacement_m[3 * n];
+            assert_eq!(corrected.means[3 * n], metres * 3.5);
+            let scale = activate_scale(raw[RAW_CHANNELS * n + 4] + on * 5e-3).min(field.scale_cap_iu[n]);
+            assert_eq!(corrected.scales[3 * n + 1], scale);
+            assert_eq!(corrected.quats[4 * n + 3], raw[RAW_CHANNELS * n + 9] + on * 10e-3);
+            assert_eq!(
+                corrected.opacities[n],
+                logistic(2.0 * (raw[RAW_CHANNELS * n + 10] - 1.0) + on * 11e-3)
+            );
+            let first = sh::coefficient_from_colour(base.colour.values()[3 * n + 2]);
+            assert!(
+                (coefficients[48 * n + 2] - (first + on * 44e-3)).abs() < 1e-6,
+                "blue, order 0"
+            );
+            assert!(
+                (coefficients[48 * n + 3 * 5 + 1] - on * 33e-3).abs() < 1e-6,
+                "green, order 5"
+            );
+        }
+        let linear = plain
+            .with_correction(&step, ScaleResidual::Linear)
+            .unwrap()
+            .gaussians(0.5)
+            .unwrap();
+        assert_eq!(linear.scales[1], (base.scales[1] + 5e-3).max(1e-6));
+    }
+
+    #[test]
+    fn displacement_has_the_same_bits_before_and_after_correction() {
+        let field = field();
+        let plain = TimedField::new(&field).unwrap();
+        let step = step(|k| (k as f32).sin());
+        let corrected = plain.with_correction(&step, ScaleResidual::PreActivation).unwrap();
+        let bits = |f: &TimedField<'_>| {
+            f.displacement_m(0.0, 0.5)
+                .unwrap()
+                .iter()
+                .map(|v| v.to_bits())
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(bits(&plain), bits(&corrected));
+        let with = corrected.gaussians_with_displacement(0.5, 0.0, 0.5).unwrap();
+        assert_eq!(with.extra, plain.displacement_m(0.0, 0.5).unwrap());
+    }
+
+    #[test]
+    fn no_touched_gaussian_means_exactly_stage_one() {
+        let field = field();
+        let plain = TimedField::new(&field).unwrap();
+        let nothing = RefinementStep {
+            update: 0,
+            touched: vec![0; 6],
+            values: Vec::new(),
+        };
+        let same = plain.with_correction(&nothing, ScaleResidual::PreActivation).unwrap();
+        assert_eq!(plain.gaussians(0.5).unwrap(), same.gaussians(0.5).unwrap());
+    }
+
+    #[test]
+    fn wrong_records_are_errors_that_say_what_is_wrong() {
+        let mut field = field();
+        assert!(
+            TimedField::new(&field)
+                .unwrap()
+                .gaussians(0.25)
+                .unwrap_err()
+                .to_string()
+                .contains("0, 0.5")
+        );
+        let short = RefinementStep {
+            update: 2,
+            touched: vec![1; 6],
+            values: vec![0.0; 5],
+        };
+        assert!(
+            TimedField::new(&field)
+                .unwrap()
+                .with_correction(&short, ScaleResidual::Linear)
+                .is_err()
+        );
+        field.slices[1].moving_raw.pop();
+        assert!(
+            TimedField::new(&field)
+                .unwrap_err()
+                .to_string()
+                .contains("moving_raw at time 0.5")
+        );
+    }
+}

@@ -1,0 +1,542 @@
+//! Projection of 3D Gaussians to the image and their assignment to tiles (`gaussian-rasterizer.md` sections 3 to 6).
+//!
+//! Gaussians are taken in chunks of consecutive indices. A chunk projects sixteen at a time in plain lane loops that the
+//! compiler vectorises for the instruction set at hand (no contraction, so every level gives the same bits), keeps the
+//! visible ones and files `(depth, record)` keys by tile. Chunks are independent; a tile later collects its keys from all
+//! chunks in order, so that neither threads nor chunks show in the result.
+
+use pulp::{Simd, WithSimd};
+use rayon::prelude::*;
+
+use crate::camera::{ALPHA_CUT, Mode, RasterConfig, View};
+use crate::error::{Result, SplatError};
+use crate::gaussians::{Colour, Gaussians};
+use crate::sh;
+use crate::simd::{LANES, dispatch};
+
+/// Gaussians per chunk.
+pub(crate) const CHUNK: usize = 8192;
+/// Most tile entries of one view; more is refused rather than allocated.
+const MAX_TILE_ENTRIES: usize = 1 << 29;
+const LOG2_E: f32 = std::f32::consts::LOG2_E;
+
+/// A visible Gaussian in the image. One cache line.
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C, align(64))]
+pub(crate) struct Projected {
+    /// Mean in pixels.
+    pub(crate) x: f32,
+    pub(crate) y: f32,
+    /// Conic scaled so that log2 of the falloff at d is `(qa dx + qb dy) dx + qc dy dy`.
+    pub(crate) qa: f32,
+    pub(crate) qb: f32,
+    pub(crate) qc: f32,
+    /// Opacity with the compensation.
+    pub(crate) opacity: f32,
+    /// Colour, evaluated and clamped.
+    pub(crate) rgb: [f32; 3],
+    /// Camera z of the centre.
+    pub(crate) z: f32,
+    /// Lower bound of the log2 of the falloff where alpha reaches the cut (a little below the exact value).
+    pub(crate) power_min: f32,
+    /// Index of the Gaussian.
+    pub(crate) gaussian: u32,
+    pad: [u32; 4],
+}
+
+/// Keys of one chunk, filed by tile.
+#[derive(Debug, Default)]
+pub(crate) struct ChunkBins {
+    /// First key of every tile and the end. `[tiles + 1]`
+    pub(crate) offsets: Vec<u32>,
+    /// Depth bits in the high word, record index in the low word, records ascending inside a tile.
+    pub(crate) keys: Vec<u64>,
+    visible: usize,
+    invalid: usize,
+}
+
+/// All visible Gaussians of a view, and where they are.
+pub(crate) struct Projection {
+    /// Records; chunk `c` starts at `c * CHUNK` and uses as many as it has visible Gaussians.
+    pub(crate) records: Vec<Projected>,
+    pub(crate) chunks: Vec<ChunkBins>,
+    pub(crate) grid: Grid,
+    pub(crate) visible: usize,
+    pub(crate) invalid: usize,
+}
+
+/// The tiles of an image.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Grid {
+    pub(crate) tile: usize,
+    pub(crate) columns: usize,
+    pub(crate) rows: usize,
+}
+
+impl Grid {
+    pub(crate) fn new(view: &View, tile: usize) -> Self {
+        Self {
+            tile,
+            columns: view.width.div_ceil(tile),
+            rows: view.height.div_ceil(tile),
+        }
+    }
+
+    pub(crate) fn tiles(&self) -> usize {
+        self.columns * self.rows
+    }
+}
+
+/// Projects a scene into a view.
+///
+/// # Errors
+/// When so many Gaussians cover so many tiles that the lists would not fit in memory.
+pub(crate) fn project(gaussians: &Gaussians, view: &View, config: &RasterConfig) -> Result<Projection> {
+    let grid = Grid::new(view, config.tile_size as usize);
+    let mut records: Vec<Projected> = bytemuck::zeroed_vec(gaussians.len());
+    let chunks: Vec<ChunkBins> = records
+        .par_chunks_mut(CHUNK)
+        .enumerate()
+        .map(|(chunk, records)| {
+            let first = chunk * CHUNK;
+            dispatch(
+                config.simd,
+                ProjectChunk {
+                    gaussians,
+                    view,
+                    config,
+                    grid,
+                    first,
+                    records,
+                },
+            )
+        })
+        .collect::<Result<_>>()?;
+    let visible = chunks.iter().map(|c| c.visible).sum();
+    let invalid = chunks.iter().map(|c| c.invalid).sum();
+    if chunks.iter().map(|c| c.keys.len()).sum::<usize>() > MAX_TILE_ENTRIES {
+        return Err(too_many());
+    }
+    Ok(Projection {
+        records,
+        chunks,
+        grid,
+        visible,
+        invalid,
+    })
+}
+
+fn too_many() -> SplatError {
+    SplatError::Setting {
+        what: "the Gaussians cover too many image tiles for one render; use a larger tile size or a smaller scene",
+        value: format!("more than {MAX_TILE_ENTRIES} tile entries"),
+    }
+}
+
+struct ProjectChunk<'a> {
+    gaussians: &'a Gaussians,
+    view: &'a View,
+    config: &'a RasterConfig,
+    grid: Grid,
+    first: usize,
+    records: &'a mut [Projected],
+}
+
+impl WithSimd for ProjectChunk<'_> {
+    type Output = Result<ChunkBins>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _simd: S) -> Result<ChunkBins> {
+        let Self {
+            gaussians,
+            view,
+            config,
+            grid,
+            first,
+            records,
+        } = self;
+        let mut bins = ChunkBins::default();
+        // (tile, record) with the depth bits beside; rectangles of a chunk are few, so one growing list will do.
+        let mut entries: Vec<(u32, u64)> = Vec::with_capacity(2 * records.len());
+        let mut block = Block::new();
+        let mut out = BlockOut::new();
+        let mut start = 0;
+        while start < records.len() {
+            let count = LANES.min(records.len() - start);
+            block.load(gaussians, first + start, count);
+            project_lanes(&block, view, config, &mut out);
+            for lane in 0..count {
+                let gaussian = first + start + lane;
+                if out.valid[lane] == 0 || !tail_is_finite(gaussians, gaussian) {
+                    bins.invalid += 1;
+                    continue;
+                }
+                if out.visible[lane] == 0 {
+                    continue;
+                }
+                let record = out.record(lane, gaussian, view, gaussians);
+                let before = entries.len();
+                file(
+                    &record,
+                    &out,
+                    lane,
+                    (first + bins.visible) as u32,
+                    &grid,
+                    view,
+                    &mut entries,
+                );
+                if entries.len() == before {
+                    continue;
+                }
+                if entries.len() > MAX_TILE_ENTRIES {
+                    return Err(too_many());
+                }
+                records[bins.visible] = record;
+                bins.visible += 1;
+            }
+            start += count;
+        }
+        bins.sort(&entries, grid.tiles());
+        Ok(bins)
+    }
+}
+
+impl ChunkBins {
+    /// Counting sort by tile; records stay ascending inside a tile.
+    fn sort(&mut self, entries: &[(u32, u64)], tiles: usize) {
+        let mut offsets = vec![0_u32; tiles + 1];
+        for &(tile, _) in entries {
+            offsets[tile as usize + 1] += 1;
+        }
+        for tile in 0..tiles {
+            offsets[tile + 1] += offsets[tile];
+        }
+        let mut next = offsets.clone();
+        self.keys = vec![0; entries.len()];
+        for &(tile, key) in entries {
+            let slot = &mut next[tile as usize];
+            self.keys[*slot as usize] = key;
+            *slot += 1;
+        }
+        self.offsets = offsets;
+    }
+}
+
+/// Colour and extra channels are only needed of visible Gaussians, but a bad value makes the Gaussian invalid anywhere.
+#[inline(always)]
+fn tail_is_finite(gaussians: &Gaussians, index: usize) -> bool {
+    let per = gaussians.colour.values_per_gaussian();
+    let zero = |values: &[f32]| values.iter().fold(0.0_f32, |sum, v| sum + v * 0.0);
+    let extra = gaussians.extra_channels;
+    zero(&gaussians.colour.values()[index * per..(index + 1) * per]) == 0.0
+        && zero(&gaussians.extra[index * extra..(index + 1) * extra]) == 0.0
+}
+
+/// Adds the tiles that a Gaussian reaches: those of its bounding box whose nearest point lies inside the level set.
+#[inline(always)]
+fn file(
+    record: &Projected,
+    out: &BlockOut,
+    lane: usize,
+    index: u32,
+    grid: &Grid,
+    view: &View,
+    entries: &mut Vec<(u32, u64)>,
+) {
+    let (hx, hy) = (out.half_x[lane], out.half_y[lane]);
+    // Pixel j is reached when |j + 0.5 - x| <= h.
+    let pixels = |mean: f32, half: f32, size: usize| {
+        let low = (mean - half - 0.5).ceil().clamp(0.0, size as f32);
+        let high = (mean + half + 0.5).floor().clamp(0.0, size as f32);
+        (low as usize, high as usize)
+    };
+    let (x0, x1) = pixels(record.x, hx, view.width);
+    let (y0, y1) = pixels(record.y, hy, view.height);
+    if x0 >= x1 || y0 >= y1 {
+        return;
+    }
+    let tile = grid.tile;
+    let (column0, column1) = (x0 / tile, (x1 - 1) / tile);
+    let (row0, row1) = (y0 / tile, (y1 - 1) / tile);
+    let key = (u64::from(record.z.to_bits()) << 32) | u64::from(index);
+    let single = column0 == column1 && row0 == row1;
+    for row in row0..=row1 {
+        for column in column0..=column1 {
+            if single || reaches(record, column * tile, row * tile, tile) {
+                entries.push(((row * grid.columns + column) as u32, key));
+            }
+        }
+    }
+}
+
+/// Slack of the reach tests in log2 units and relative to the terms of the quadratic form; both are far above the
+/// rounding of the compositing kernel, so that no pixel above the alpha cut is lost and tiles never show.
+pub(crate) const REACH_SLACK: f32 = 1e-4;
+pub(crate) const REACH_SHRINK: f32 = 1.0 - 4e-6;
+
+/// Whether the level set of a Gaussian reaches any pixel centre's rectangle of a block of `size` pixels at (x, y).
+#[inline(always)]
+pub(crate) fn reaches(g: &Projected, x: usize, y: usize, size: usize) -> bool {
+    let (xl, yl) = (x as f32 + 0.5 - g.x, y as f32 + 0.5 - g.y);
+    let (xh, yh) = (xl + (size - 1) as f32, yl + (size - 1) as f32);
+    let (qa, qc) = (g.qa * REACH_SHRINK, g.qc * REACH_SHRINK);
+    let ex = 0.0_f32.min(xh).max(xl);
+    let ey = 0.0_f32.min(yh).max(yl);
+    // Best point on the vertical line through ex and on the horizontal line through ey.
+    let y_best = (-0.5 * g.qb / qc * ex).min(yh).max(yl);
+    let x_best = (-0.5 * g.qb / qa * ey).min(xh).max(xl);
+    let p1 = (qa * ex + g.qb * y_best) * ex + qc * y_best * y_best;
+    let p2 = (qa * x_best + g.qb * ey) * x_best + qc * ey * ey;
+    // Not `>=`: a form that is not a number must stay in, the kernel decides.
+    !(p1.max(p2) < g.power_min)
+}
+
+/// Inputs of sixteen Gaussians, component-major.
+struct Block {
+    mean: [[f32; LANES]; 3],
+    quat: [[f32; LANES]; 4],
+    scale: [[f32; LANES]; 3],
+    opacity: [f32; LANES],
+}
+
+impl Block {
+    fn new() -> Self {
+        Self {
+            mean: [[0.0; LANES]; 3],
+            quat: [[0.0; LANES]; 4],
+            scale: [[0.0; LANES]; 3],
+            opacity: [0.0; LANES],
+        }
+    }
+
+    #[inline(always)]
+    fn load(&mut self, gaussians: &Gaussians, first: usize, count: usize) {
+        transpose(&mut self.mean, &gaussians.means[3 * first..3 * (first + count)]);
+        transpose(&mut self.quat, &gaussians.quats[4 * first..4 * (first + count)]);
+        transpose(&mut self.scale, &gaussians.scales[3 * first..3 * (first + count)]);
+        self.opacity[..count].copy_from_slice(&gaussians.opacities[first..first + count]);
+    }
+}
+
+#[inline(always)]
+fn transpose<const K: usize>(to: &mut [[f32; LANES]; K], from: &[f32]) {
+    if from.len() == K * LANES {
+        for lane in 0..LANES {
+            for k in 0..K {
+                to[k][lane] = from[lane * K + k];
+            }
+        }
+    } else {
+        for (lane, values) in from.chunks_exact(K).enumerate() {
+            for k in 0..K {
+                to[k][lane] = values[k];
+            }
+        }
+    }
+}
+
+/// Outputs of sixteen Gaussians, component-major.
+struct BlockOut {
+    x: [f32; LANES],
+    y: [f32; LANES],
+    z: [f32; LANES],
+    qa: [f32; LANES],
+    qb: [f32; LANES],
+    qc: [f32; LANES],
+    opacity: [f32; LANES],
+    power_min: [f32; LANES],
+    half_x: [f32; LANES],
+    half_y: [f32; LANES],
+    valid: [u32; LANES],
+    visible: [u32; LANES],
+}
+
+impl BlockOut {
+    fn new() -> Self {
+        let z = [0.0; LANES];
+        Self {
+            x: z,
+            y: z,
+            z,
+            qa: z,
+            qb: z,
+            qc: z,
+            opacity: z,
+            power_min: z,
+            half_x: z,
+            half_y: z,
+            valid: [0; LANES],
+            visible: [0; LANES],
+        }
+    }
+
+    #[inline(always)]
+    fn record(&self, lane: usize, index: usize, view: &View, gaussians: &Gaussians) -> Projected {
+        Projected {
+            x: self.x[lane],
+            y: self.y[lane],
+            qa: self.qa[lane],
+            qb: self.qb[lane],
+            qc: self.qc[lane],
+            opacity: self.opacity[lane],
+            rgb: colour(gaussians, index, view),
+            z: self.z[lane],
+            power_min: self.power_min[lane],
+            gaussian: index as u32,
+            pad: [0; 4],
+        }
+    }
+}
+
+/// Direction from the camera centre to a Gaussian's centre, and the distance.
+#[inline(always)]
+pub(crate) fn direction(mean: &[f32], view: &View) -> ([f32; 3], f32) {
+    let d = [
+        mean[0] - view.centre[0],
+        mean[1] - view.centre[1],
+        mean[2] - view.centre[2],
+    ];
+    let length = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
+    if length > 0.0 {
+        (d.map(|v| v / length), length)
+    } else {
+        ([0.0, 0.0, 1.0], 0.0)
+    }
+}
+
+/// The composited colour of a Gaussian.
+#[inline(always)]
+fn colour(gaussians: &Gaussians, index: usize, view: &View) -> [f32; 3] {
+    match &gaussians.colour {
+        Colour::Rgb(rgb) => [rgb[3 * index], rgb[3 * index + 1], rgb[3 * index + 2]],
+        Colour::Sh { degree, coefficients } => {
+            let per = 3 * sh::coefficient_count(*degree);
+            let (direction, _) = direction(&gaussians.means[3 * index..3 * index + 3], view);
+            let raw = sh::evaluate(*degree, direction, &coefficients[per * index..per * (index + 1)]);
+            raw.map(|c| c.max(0.0))
+        }
+    }
+}
+
+/// Upper bound of log2 of a positive normal number, at most 0.012 too high.
+#[inline(always)]
+fn log2_upper(x: f32) -> f32 {
+    let bits = x.to_bits() as i32;
+    let exponent = ((bits >> 23) - 127) as f32;
+    let m = f32::from_bits(((bits & 0x007f_ffff) | 0x3f80_0000) as u32);
+    exponent + ((-0.335_828_78 * m + 2.0) * m - 1.658_710) + 0.006
+}
+
+/// Sections 3 to 5 of the reference for sixteen Gaussians, without branches.
+#[inline(always)]
+fn project_lanes(block: &Block, view: &View, config: &RasterConfig, out: &mut BlockOut) {
+    let View {
+        fx,
+        fy,
+        cx,
+        cy,
+        r,
+        t,
+        limits,
+        ..
+    } = *view;
+    let (width, height) = (view.width as f32, view.height as f32);
+    let antialiased = config.mode == Mode::Antialiased;
+    let floor2 = config.min_compensation * config.min_compensation;
+    for l in 0..LANES {
+        let m = [block.mean[0][l], block.mean[1][l], block.mean[2][l]];
+        let q = [block.quat[0][l], block.quat[1][l], block.quat[2][l], block.quat[3][l]];
+        let s = [block.scale[0][l], block.scale[1][l], block.scale[2][l]];
+        let o = block.opacity[l];
+        let norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+        let zero = (m[0] + m[1] + m[2] + s[0] + s[1] + s[2] + o + norm2) * 0.0;
+        let valid = (zero == 0.0) & (norm2 > 1e-20) & (s[0] >= 0.0) & (s[1] >= 0.0) & (s[2] >= 0.0) & (o >= 0.0);
+
+        let x = r[0] * m[0] + r[1] * m[1] + r[2] * m[2] + t[0];
+        let y = r[3] * m[0] + r[4] * m[1] + r[5] * m[2] + t[1];
+        let z = r[6] * m[0] + r[7] * m[1] + r[8] * m[2] + t[2];
+        let in_range = (z >= config.near) & (z <= config.far);
+        let z_safe = if in_range { z } else { 1.0 };
+        let inv_z = 1.0 / z_safe;
+        let (xz, yz) = (x * inv_z, y * inv_z);
+        let ux = xz.min(limits[1]).max(limits[0]);
+        let uy = yz.min(limits[3]).max(limits[2]);
+
+        // J R, 2x3, and its product with R_q diag(s).
+        let (j0, j2) = (fx * inv_z, -fx * ux * inv_z);
+        let (j4, j5) = (fy * inv_z, -fy * uy * inv_z);
+        let a = [j0 * r[0] + j2 * r[6], j0 * r[1] + j2 * r[7], j0 * r[2] + j2 * r[8]];
+        let b = [j4 * r[3] + j5 * r[6], j4 * r[4] + j5 * r[7], j4 * r[5] + j5 * r[8]];
+        let inv_norm = 1.0 / norm2.max(1e-30).sqrt();
+        let rq = rotation([q[0] * inv_norm, q[1] * inv_norm, q[2] * inv_norm, q[3] * inv_norm]);
+        let row = |a: &[f32; 3], k: usize| (a[0] * rq[k] + a[1] * rq[3 + k] + a[2] * rq[6 + k]) * s[k];
+        let (u0, u1, u2) = (row(&a, 0), row(&a, 1), row(&a, 2));
+        let (v0, v1, v2) = (row(&b, 0), row(&b, 1), row(&b, 2));
+        let a0 = u0 * u0 + u1 * u1 + u2 * u2;
+        let c0 = v0 * v0 + v1 * v1 + v2 * v2;
+        let cov_b = u0 * v0 + u1 * v1 + u2 * v2;
+        // Determinant before the low-pass as a sum of squares, which no needle cancels.
+        let (n0, n1, n2) = (u0 * v1 - u1 * v0, u0 * v2 - u2 * v0, u1 * v2 - u2 * v1);
+        let det0 = n0 * n0 + n1 * n1 + n2 * n2;
+        let eps = config.eps2d;
+        let (cov_a, cov_c) = (a0 + eps, c0 + eps);
+        let det = det0 + eps * (a0 + c0) + eps * eps;
+        let positive = (det > 0.0) & (det < 3e38) & (cov_a < 1e30) & (cov_c < 1e30);
+        let inv_det = 1.0 / if positive { det } else { 1.0 };
+        let rho = (det0 * inv_det).max(floor2).sqrt();
+        let opacity = if antialiased { o * rho } else { o };
+
+        let (px, py) = (fx * xz + cx, fy * yz + cy);
+        let enough = (opacity >= ALPHA_CUT) & (o > config.min_opacity);
+        let level = log2_upper((255.0 * opacity).max(1.0));
+        // Half sizes of the box of the level set: sigma = level / log2(e) gives sqrt(2 sigma a).
+        let reach = 2.0 / LOG2_E * (level + REACH_SLACK);
+        let half_x = (reach * cov_a).sqrt() * 1.0001 + 0.002;
+        let half_y = (reach * cov_c).sqrt() * 1.0001 + 0.002;
+        let inside = (px + half_x > 0.0) & (px - half_x < width) & (py + half_y > 0.0) & (py - half_y < height);
+
+        out.x[l] = px;
+        out.y[l] = py;
+        out.z[l] = z;
+        out.qa[l] = -0.5 * LOG2_E * cov_c * inv_det;
+        out.qb[l] = LOG2_E * cov_b * inv_det;
+        out.qc[l] = -0.5 * LOG2_E * cov_a * inv_det;
+        out.opacity[l] = opacity;
+        out.power_min[l] = -(level + REACH_SLACK);
+        out.half_x[l] = half_x;
+        out.half_y[l] = half_y;
+        // Finite inputs that overflow on the way count as invalid too, unless they are out of sight anyway.
+        out.valid[l] = u32::from(valid & (positive | !in_range | !enough));
+        out.visible[l] = u32::from(in_range & positive & enough & inside);
+    }
+}
+
+/// Rotation matrix of a unit quaternion (w, x, y, z), row-major.
+#[inline(always)]
+pub(crate) fn rotation([w, x, y, z]: [f32; 4]) -> [f32; 9] {
+    [
+        1.0 - 2.0 * (y * y + z * z),
+        2.0 * (x * y - w * z),
+        2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z),
+        1.0 - 2.0 * (x * x + z * z),
+        2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y),
+        2.0 * (y * z + w * x),
+        1.0 - 2.0 * (x * x + y * y),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn log2_bound_is_above_and_close() {
+        for k in 0..100_000 {
+            let x = 1.0 + k as f32 * 0.01;
+            let excess = f64::from(log2_upper(x)) - libm::log2(f64::from(x));
+            assert!((0.0..0.012).contains(&excess), "{x}: {excess}");
+        }
+    }
+}

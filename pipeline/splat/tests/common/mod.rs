@@ -1,0 +1,188 @@
+//! Golden files of the rasteriser: float64 results of an independent implementation, stored as f32.
+
+#![allow(dead_code, unreachable_pub, missing_docs)]
+
+use std::collections::HashMap;
+use std::path::PathBuf;
+
+use rogs_splat::{Camera, Colour, Gaussians, Mode, RasterConfig};
+
+/// A golden file in memory.
+pub struct Golden {
+    pub name: &'static str,
+    pub stress: bool,
+    tensors: HashMap<String, Vec<f32>>,
+    metadata: HashMap<String, String>,
+}
+
+/// The golden files: two lie beside the tests, all of them in the shared folder.
+pub const NAMES: [(&str, bool); 7] = [
+    ("n200_sh0", false),
+    ("n200_sh3_bg", false),
+    ("n200_rgb_amax099", false),
+    ("n5000_sh0_bg", false),
+    ("n5000_sh3_aa_bg", false),
+    ("stress_classic", true),
+    ("stress_aa", true),
+];
+
+/// All golden files that can be found; at least the two beside the tests.
+pub fn goldens() -> Vec<Golden> {
+    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    let shared = std::env::var_os("ROGS_SHARED").map_or_else(|| root.join("../../../shared"), PathBuf::from);
+    let mut found = Vec::new();
+    for (name, stress) in NAMES {
+        let file = format!("{name}.safetensors");
+        let places = [
+            root.join("tests/golden").join(&file),
+            shared.join("golden/rasterizer").join(&file),
+        ];
+        match places.iter().find(|p| p.is_file()) {
+            Some(path) => found.push(Golden::read(name, stress, path)),
+            None => println!("skipped {name}: no such golden file beside the tests or in the shared folder"),
+        }
+    }
+    assert!(found.len() >= 2, "the golden files beside the tests are missing");
+    found
+}
+
+impl Golden {
+    fn read(name: &'static str, stress: bool, path: &std::path::Path) -> Self {
+        let bytes = std::fs::read(path).unwrap();
+        let (_, header) = safetensors::SafeTensors::read_metadata(&bytes).unwrap();
+        let metadata = header.metadata().clone().unwrap();
+        let tensors = safetensors::SafeTensors::deserialize(&bytes).unwrap();
+        let tensors = tensors
+            .iter()
+            .map(|(key, view)| {
+                let values = view
+                    .data()
+                    .chunks_exact(4)
+                    .map(|b| f32::from_le_bytes(b.try_into().unwrap()));
+                (key.to_owned(), values.collect())
+            })
+            .collect();
+        Self {
+            name,
+            stress,
+            tensors,
+            metadata: metadata.into_iter().collect(),
+        }
+    }
+
+    pub fn has(&self, key: &str) -> bool {
+        self.tensors.contains_key(key)
+    }
+
+    pub fn get(&self, key: &str) -> &[f32] {
+        &self.tensors[key]
+    }
+
+    fn number(&self, key: &str) -> f32 {
+        self.metadata[key].parse().unwrap()
+    }
+
+    pub fn width(&self) -> usize {
+        self.number("width") as usize
+    }
+
+    pub fn height(&self) -> usize {
+        self.number("height") as usize
+    }
+
+    pub fn pixels(&self) -> usize {
+        self.width() * self.height()
+    }
+
+    pub fn cameras(&self) -> usize {
+        self.get("in.Ks").len() / 9
+    }
+
+    /// One camera's part of a per-camera tensor.
+    pub fn view(&self, key: &str, camera: usize) -> &[f32] {
+        let all = self.get(key);
+        let per = all.len() / self.cameras();
+        &all[camera * per..(camera + 1) * per]
+    }
+
+    pub fn scene(&self) -> Gaussians {
+        let colour = if self.has("in.sh") {
+            let degree = self.number("sh_degree") as usize;
+            Colour::Sh {
+                degree,
+                coefficients: self.get("in.sh").to_vec(),
+            }
+        } else {
+            Colour::Rgb(self.get("in.rgb").to_vec())
+        };
+        Gaussians {
+            means: self.get("in.means").to_vec(),
+            quats: self.get("in.quats_wxyz").to_vec(),
+            scales: self.get("in.scales").to_vec(),
+            opacities: self.get("in.opacities").to_vec(),
+            colour,
+            extra: self.get("in.features").to_vec(),
+            extra_channels: 3,
+        }
+    }
+
+    pub fn camera(&self, index: usize) -> Camera {
+        let k = self
+            .view("in.Ks", index)
+            .iter()
+            .map(|&v| f64::from(v))
+            .collect::<Vec<_>>();
+        let v = self
+            .view("in.viewmats", index)
+            .iter()
+            .map(|&v| f64::from(v))
+            .collect::<Vec<_>>();
+        Camera {
+            width: self.width() as u32,
+            height: self.height() as u32,
+            fx: k[0],
+            fy: k[4],
+            cx: k[2],
+            cy: k[5],
+            rotation: [v[0], v[1], v[2], v[4], v[5], v[6], v[8], v[9], v[10]],
+            translation: [v[3], v[7], v[11]],
+        }
+    }
+
+    pub fn config(&self, camera: usize) -> RasterConfig {
+        let background = if self.has("in.backgrounds") {
+            self.view("in.backgrounds", camera).try_into().unwrap()
+        } else {
+            [0.0; 3]
+        };
+        RasterConfig {
+            mode: if self.metadata["antialiased"] == "true" {
+                Mode::Antialiased
+            } else {
+                Mode::Classic
+            },
+            eps2d: self.number("eps2d"),
+            alpha_max: self.number("alpha_max"),
+            near: self.number("near"),
+            far: self.number("far"),
+            background,
+            min_opacity: 0.0,
+            min_compensation: self.number("min_compensation"),
+            ..RasterConfig::default()
+        }
+    }
+}
+
+/// Largest absolute difference where `keep` says so (per pixel, `channels` values each).
+pub fn worst(a: &[f32], b: &[f32], channels: usize, keep: impl Fn(usize) -> bool) -> f32 {
+    assert_eq!(a.len(), b.len());
+    let mut worst = 0.0_f32;
+    for (index, (x, y)) in a.iter().zip(b).enumerate() {
+        if keep(index / channels) {
+            let d = (x - y).abs();
+            assert!(!d.is_nan(), "not a number at {index}");
+            worst = worst.max(d);
+        }
+    }
+    worst
+}
