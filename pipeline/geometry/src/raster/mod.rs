@@ -1,0 +1,291 @@
+//! The mesh rasteriser: depth, link id and triangle id of an articulated robot, sampled at pixel centres.
+//!
+//! Vertices are projected in f64 and rounded to 2^-16 of a pixel; coverage is then decided by exact integer edge functions
+//! with the top-left rule, so that meshes have no cracks and no pixel is drawn twice along an edge. Depth is linear camera
+//! z, perspective-correct (1/z is linear in the image). The nearest surface wins, and of equal depths the lower triangle
+//! number, so the result does not depend on drawing order or thread count. Back faces are drawn: robot meshes are often
+//! open.
+
+mod clip;
+mod draw;
+mod project;
+
+use rayon::prelude::*;
+use rogs_schemas::records::robot::{NO_LINK, RobotSpec};
+
+use crate::camera::Pinhole;
+use crate::error::{Error, Result};
+use crate::mesh::Mesh;
+use crate::names;
+use crate::robot::RobotModel;
+use crate::transform::{Camera, Link, Pose};
+
+use draw::EMPTY;
+use project::ScreenVertices;
+
+/// Largest image side, pixels.
+pub const MAX_SIDE: u32 = 4096;
+/// Value of [`MeshImage::triangle`] where nothing is hit.
+pub const NO_TRIANGLE: u32 = u32::MAX;
+
+/// The meshes of a robot, each in the frame of its link.
+#[derive(Debug, Clone, Default)]
+pub struct MeshScene {
+    parts: Vec<Part>,
+    // Positions of all parts, one array per axis. [V]
+    x: Vec<f32>,
+    y: Vec<f32>,
+    z: Vec<f32>,
+    // Indices into the arrays above. [T, 3]
+    triangles: Vec<[u32; 3]>,
+    // Link id of each triangle. [T]
+    triangle_link: Vec<u8>,
+}
+
+/// A run of vertices and triangles that move with one link.
+#[derive(Debug, Clone)]
+struct Part {
+    link: u8,
+    vertices: std::ops::Range<usize>,
+}
+
+/// How to draw.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RenderOptions {
+    /// Surfaces nearer than this camera z are cut away, metres.
+    pub near_m: f64,
+}
+
+impl Default for RenderOptions {
+    fn default() -> Self {
+        Self { near_m: 0.01 }
+    }
+}
+
+/// What a camera sees of the meshes. Row-major, `[H, W]`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeshImage {
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// Camera z at the pixel centre, metres; 0 where nothing is hit.
+    pub depth_m: Vec<f32>,
+    /// Link id; `NO_LINK` where nothing is hit.
+    pub link: Vec<u8>,
+    /// Triangle number in the scene; [`NO_TRIANGLE`] where nothing is hit.
+    pub triangle: Vec<u32>,
+}
+
+impl MeshScene {
+    /// An empty scene.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// The anchor meshes of a robot: all links but the excluded ones; collision geometry where the specification says
+    /// so, visual geometry elsewhere. Triangles are numbered in link order.
+    ///
+    /// # Errors
+    /// When a mesh cannot be read, or when nothing is selected.
+    pub fn of_robot(model: &RobotModel, spec: &RobotSpec) -> Result<Self> {
+        let mut scene = Self::new();
+        for (id, link) in model.links.iter().enumerate() {
+            if names::matches_any(&spec.exclude_links, &link.name) {
+                continue;
+            }
+            let collision = names::matches_any(&spec.collision_links, &link.name);
+            let mut mesh = Mesh::default();
+            for shape in if collision { &link.collision } else { &link.visual } {
+                mesh.append(&Mesh::of_shape(shape, &model.folder)?);
+            }
+            scene.add(id as u8, &mesh);
+        }
+        if scene.triangles.is_empty() {
+            return Err(Error::Raster {
+                what: format!("robot `{}`: no link has a mesh under the given selection", model.name),
+            });
+        }
+        Ok(scene)
+    }
+
+    /// Adds a mesh that moves with a link; its triangles get the next numbers.
+    pub fn add(&mut self, link: u8, mesh: &Mesh) {
+        if mesh.triangles.is_empty() {
+            return;
+        }
+        let start = self.x.len();
+        self.x.extend(mesh.positions.iter().map(|position| position[0]));
+        self.y.extend(mesh.positions.iter().map(|position| position[1]));
+        self.z.extend(mesh.positions.iter().map(|position| position[2]));
+        self.triangles.extend(
+            mesh.triangles
+                .iter()
+                .map(|triangle| triangle.map(|corner| corner + start as u32)),
+        );
+        self.triangle_link.resize(self.triangles.len(), link);
+        self.parts.push(Part {
+            link,
+            vertices: start..self.x.len(),
+        });
+    }
+
+    /// Number of triangles.
+    #[must_use]
+    pub fn triangle_count(&self) -> usize {
+        self.triangles.len()
+    }
+
+    /// Number of vertices.
+    #[must_use]
+    pub fn vertex_count(&self) -> usize {
+        self.x.len()
+    }
+
+    /// Link id and corners of a triangle, in the link's frame.
+    ///
+    /// # Panics
+    /// When there is no such triangle.
+    #[must_use]
+    pub fn triangle(&self, index: usize) -> (u8, [[f32; 3]; 3]) {
+        let corner = |vertex: u32| {
+            [
+                self.x[vertex as usize],
+                self.y[vertex as usize],
+                self.z[vertex as usize],
+            ]
+        };
+        (self.triangle_link[index], self.triangles[index].map(corner))
+    }
+
+    /// Draws the scene with the threads of the current rayon pool. `camera_from_link` is indexed by link id.
+    ///
+    /// # Errors
+    /// When the camera is not valid, an image side exceeds [`MAX_SIDE`], or a link has no pose.
+    pub fn render(
+        &self,
+        camera: &Pinhole,
+        camera_from_link: &[Pose<Camera, Link>],
+        options: &RenderOptions,
+    ) -> Result<MeshImage> {
+        Renderer::new(self).render(camera, camera_from_link, options, rayon::current_num_threads())
+    }
+}
+
+/// Draws one scene many times and keeps its buffers in between.
+#[derive(Debug)]
+pub struct Renderer<'a> {
+    scene: &'a MeshScene,
+    screen: ScreenVertices,
+    layers: Vec<Vec<u64>>,
+}
+
+impl<'a> Renderer<'a> {
+    /// A renderer for a scene.
+    #[must_use]
+    pub fn new(scene: &'a MeshScene) -> Self {
+        Self {
+            scene,
+            screen: ScreenVertices::default(),
+            layers: Vec::new(),
+        }
+    }
+
+    /// Draws with `threads` pieces of work; the picture is the same for any number.
+    ///
+    /// # Errors
+    /// As [`MeshScene::render`].
+    pub fn render(
+        &mut self,
+        camera: &Pinhole,
+        camera_from_link: &[Pose<Camera, Link>],
+        options: &RenderOptions,
+        threads: usize,
+    ) -> Result<MeshImage> {
+        let scene = self.scene;
+        check(camera, options)?;
+        let highest = scene.parts.iter().map(|part| part.link as usize).max().unwrap_or(0);
+        if highest >= camera_from_link.len() {
+            return Err(Error::Raster {
+                what: format!("link {highest} has no pose, {} are given", camera_from_link.len()),
+            });
+        }
+        self.screen.project(scene, camera, camera_from_link, options);
+        let area = (camera.width * camera.height) as usize;
+        let pieces = threads.clamp(1, 64);
+        self.layers.resize_with(pieces.max(self.layers.len()), Vec::new);
+        let per_piece = scene.triangles.len().div_ceil(pieces);
+        let context = draw::Context {
+            scene,
+            screen: &self.screen,
+            camera,
+            camera_from_link,
+            options,
+        };
+        let fill = |(piece, layer): (usize, &mut Vec<u64>)| {
+            layer.clear();
+            layer.resize(area, EMPTY);
+            let first = (piece * per_piece).min(scene.triangles.len());
+            let end = (first + per_piece).min(scene.triangles.len());
+            context.draw(first..end, layer);
+        };
+        let layers = &mut self.layers[..pieces];
+        if pieces == 1 {
+            fill((0, &mut layers[0]));
+        } else {
+            layers.par_iter_mut().enumerate().for_each(fill);
+        }
+        Ok(resolve(scene, camera, layers))
+    }
+}
+
+fn check(camera: &Pinhole, options: &RenderOptions) -> Result<()> {
+    if !camera.is_valid() {
+        return Err(Error::Raster {
+            what: format!("the camera {camera:?} is not valid"),
+        });
+    }
+    if camera.width > MAX_SIDE || camera.height > MAX_SIDE {
+        return Err(Error::Raster {
+            what: format!(
+                "an image of {}x{} exceeds {MAX_SIDE} a side",
+                camera.width, camera.height
+            ),
+        });
+    }
+    if !(options.near_m.is_finite() && options.near_m > 0.0) {
+        return Err(Error::Raster {
+            what: format!("the near plane lies at {} m", options.near_m),
+        });
+    }
+    Ok(())
+}
+
+/// Merges the layers (the nearest surface of all) and splits the keys into depth, link and triangle.
+fn resolve(scene: &MeshScene, camera: &Pinhole, layers: &mut [Vec<u64>]) -> MeshImage {
+    let area = (camera.width * camera.height) as usize;
+    let (nearest, others) = layers.split_at_mut(1);
+    let nearest = &mut nearest[0];
+    for other in others {
+        for (key, &candidate) in nearest.iter_mut().zip(other.iter()) {
+            *key = (*key).min(candidate);
+        }
+    }
+    let mut image = MeshImage {
+        width: camera.width,
+        height: camera.height,
+        depth_m: vec![0.0; area],
+        link: vec![NO_LINK; area],
+        triangle: vec![NO_TRIANGLE; area],
+    };
+    for (pixel, &key) in nearest.iter().enumerate() {
+        if key != EMPTY {
+            let triangle = key as u32;
+            image.depth_m[pixel] = f32::from_bits((key >> 32) as u32);
+            image.link[pixel] = scene.triangle_link[triangle as usize];
+            image.triangle[pixel] = triangle;
+        }
+    }
+    image
+}

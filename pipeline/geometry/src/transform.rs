@@ -1,0 +1,405 @@
+//! Typed rigid transforms.
+
+use std::fmt;
+use std::marker::PhantomData;
+use std::ops::Mul;
+
+use glam::{DMat3, DQuat, DVec3};
+use rogs_schemas::RigidPose;
+
+use crate::error::{Error, Result};
+
+/// A coordinate frame, as a type.
+pub trait Frame {
+    /// Name for messages.
+    const NAME: &'static str;
+}
+
+macro_rules! frames {
+    ($($(#[$doc:meta])* $name:ident = $text:literal;)*) => {
+        $($(#[$doc])* #[derive(Debug, Clone, Copy, PartialEq, Eq)] pub enum $name {}
+        impl Frame for $name { const NAME: &'static str = $text; })*
+    };
+}
+
+frames! {
+    /// The robot base.
+    Base = "base";
+    /// A camera, OpenCV axes: x right, y down, z forward.
+    Camera = "camera";
+    /// The reconstruction frame: the wrist camera at the first source time, fixed for the clip.
+    Recon = "recon";
+    /// A link of the robot.
+    Link = "link";
+}
+
+/// A rigid transform `a_from_b`: maps points given in frame `B` to frame `A`, `p_a = R p_b + t`, metres.
+pub struct Pose<A, B> {
+    /// R.
+    pub rotation: DMat3,
+    /// t, metres.
+    pub translation: DVec3,
+    frames: PhantomData<fn() -> (A, B)>,
+}
+
+/// Largest entry of `R^T R - I` that still counts as a rotation: matrices printed with four digits pass, scaled or
+/// sheared ones do not.
+pub const RIGIDITY_TOLERANCE: f64 = 1e-3;
+
+impl<A: Frame, B: Frame> Pose<A, B> {
+    /// The transform that changes nothing.
+    pub const IDENTITY: Self = Self {
+        rotation: DMat3::IDENTITY,
+        translation: DVec3::ZERO,
+        frames: PhantomData,
+    };
+
+    /// From a rotation matrix and a translation in metres, as they are.
+    #[must_use]
+    pub const fn new(rotation: DMat3, translation: DVec3) -> Self {
+        Self {
+            rotation,
+            translation,
+            frames: PhantomData,
+        }
+    }
+
+    /// From `[x, y, z]` metres and the Euler angles `[a, b, c]` of the DROID logs: rotations about the FIXED axes x, y,
+    /// z in this order, `R = Rz(c) Ry(b) Rx(a)` (`datasets.md` section 0). URDF `rpy` is the same convention.
+    #[must_use]
+    pub fn from_xyz_euler(xyz: [f64; 3], euler_xyz: [f64; 3]) -> Self {
+        Self::new(rotation_from_euler_xyz(euler_xyz), DVec3::from_array(xyz))
+    }
+
+    /// From numbers on disk.
+    ///
+    /// # Errors
+    /// When an entry is not finite or the matrix is not a rotation (within [`RIGIDITY_TOLERANCE`]).
+    pub fn from_rigid(pose: &RigidPose) -> Result<Self> {
+        let [a, b, c, d, e, f, g, h, i] = pose.rotation;
+        let result = Self::new(
+            DMat3::from_cols(DVec3::new(a, d, g), DVec3::new(b, e, h), DVec3::new(c, f, i)),
+            DVec3::from_array(pose.translation),
+        );
+        result.check_rigid()?;
+        Ok(result)
+    }
+
+    /// From a row-major 4x4 matrix.
+    ///
+    /// # Errors
+    /// As [`Pose::from_rigid`]; also when the last row is not `0 0 0 1`.
+    pub fn from_matrix4(matrix: &[f64; 16]) -> Result<Self> {
+        let last = [matrix[12], matrix[13], matrix[14], matrix[15] - 1.0];
+        if !last.iter().all(|entry| entry.abs() < 1e-9) {
+            return Err(Error::NotRigid {
+                what: format!("the last row is {:?}, not 0 0 0 1", &matrix[12..]),
+            });
+        }
+        let m = matrix;
+        Self::from_rigid(&RigidPose {
+            rotation: [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]],
+            translation: [m[3], m[7], m[11]],
+        })
+    }
+
+    /// The numbers for disk.
+    #[must_use]
+    pub fn to_rigid(&self) -> RigidPose {
+        let [x, y, z] = [self.rotation.x_axis, self.rotation.y_axis, self.rotation.z_axis];
+        RigidPose {
+            rotation: [x.x, y.x, z.x, x.y, y.y, z.y, x.z, y.z, z.z],
+            translation: self.translation.to_array(),
+        }
+    }
+
+    /// The row-major 4x4 matrix.
+    #[must_use]
+    pub fn to_matrix4(&self) -> [f64; 16] {
+        let RigidPose {
+            rotation: r,
+            translation: t,
+        } = self.to_rigid();
+        [
+            r[0], r[1], r[2], t[0], r[3], r[4], r[5], t[1], r[6], r[7], r[8], t[2], 0.0, 0.0, 0.0, 1.0,
+        ]
+    }
+
+    /// `b_from_a`. Exact for an exact rotation: the transpose is used.
+    #[must_use]
+    pub fn inverse(&self) -> Pose<B, A> {
+        let transposed = self.rotation.transpose();
+        Pose::new(transposed, -(transposed * self.translation))
+    }
+
+    /// A point of frame `B` in frame `A`.
+    #[must_use]
+    pub fn point(&self, point: DVec3) -> DVec3 {
+        self.rotation * point + self.translation
+    }
+
+    /// A direction of frame `B` in frame `A`.
+    #[must_use]
+    pub fn direction(&self, direction: DVec3) -> DVec3 {
+        self.rotation * direction
+    }
+
+    /// The rotation as a unit quaternion with non-negative real part.
+    #[must_use]
+    pub fn quaternion(&self) -> DQuat {
+        let quaternion = DQuat::from_mat3(&self.rotation).normalize();
+        if quaternion.w < 0.0 { -quaternion } else { quaternion }
+    }
+
+    /// The nearest transform whose rotation is orthonormal to machine precision. For calibrations printed with few
+    /// digits.
+    #[must_use]
+    pub fn orthonormalized(&self) -> Self {
+        // Newton's iteration for the polar factor, R <- (R + R^-T) / 2; quadratic near a rotation.
+        let mut rotation = self.rotation;
+        for _ in 0..6 {
+            rotation = (rotation + rotation.inverse().transpose()) * 0.5;
+        }
+        Self::new(rotation, self.translation)
+    }
+
+    /// Says what the frames are when the types cannot know, for example two poses of different links.
+    #[must_use]
+    pub fn relabelled<C, D>(&self) -> Pose<C, D> {
+        Pose {
+            rotation: self.rotation,
+            translation: self.translation,
+            frames: PhantomData,
+        }
+    }
+
+    /// Largest entry of `R^T R - I`.
+    #[must_use]
+    pub fn rigidity_residual(&self) -> f64 {
+        let residual = self.rotation.transpose() * self.rotation - DMat3::IDENTITY;
+        residual
+            .to_cols_array()
+            .into_iter()
+            .fold(0.0, |worst: f64, entry| worst.max(entry.abs()))
+    }
+
+    /// Checks that this is a rigid transform.
+    ///
+    /// # Errors
+    /// When an entry is not finite, the rotation is not orthonormal, or it is a reflection.
+    pub fn check_rigid(&self) -> Result<()> {
+        let name = format!("{}_from_{}", A::NAME, B::NAME);
+        if !self.rotation.is_finite() || !self.translation.is_finite() {
+            return Err(Error::NotRigid {
+                what: format!("{name} has an entry that is not finite"),
+            });
+        }
+        let residual = self.rigidity_residual();
+        if residual > RIGIDITY_TOLERANCE {
+            let what = format!(
+                "{name}: R^T R differs from the identity by {residual:.2e} (scale, shear or wrong order of numbers)"
+            );
+            return Err(Error::NotRigid { what });
+        }
+        if self.rotation.determinant() < 0.0 {
+            return Err(Error::NotRigid {
+                what: format!("{name} is a reflection (determinant -1)"),
+            });
+        }
+        Ok(())
+    }
+}
+
+/// `R = Rz(c) Ry(b) Rx(a)` for `[a, b, c]`, radians: the SciPy `"xyz"` (extrinsic) convention.
+#[must_use]
+pub fn rotation_from_euler_xyz([a, b, c]: [f64; 3]) -> DMat3 {
+    let (sa, ca) = libm::sincos(a);
+    let (sb, cb) = libm::sincos(b);
+    let (sc, cc) = libm::sincos(c);
+    DMat3::from_cols(
+        DVec3::new(cc * cb, sc * cb, -sb),
+        DVec3::new(cc * sb * sa - sc * ca, sc * sb * sa + cc * ca, cb * sa),
+        DVec3::new(cc * sb * ca + sc * sa, sc * sb * ca - cc * sa, cb * ca),
+    )
+}
+
+/// The Euler angles `[a, b, c]` of [`rotation_from_euler_xyz`]; at the pole `b = +-pi/2` the first angle is 0.
+#[must_use]
+pub fn euler_xyz_from_rotation(rotation: &DMat3) -> [f64; 3] {
+    let (x, y, z) = (rotation.x_axis, rotation.y_axis, rotation.z_axis);
+    let cos_b = libm::hypot(x.x, x.y);
+    let b = libm::atan2(-x.z, cos_b);
+    if cos_b > 1e-9 {
+        [libm::atan2(y.z, z.z), b, libm::atan2(x.y, x.x)]
+    } else {
+        [0.0, b, libm::atan2(-y.x, y.y)]
+    }
+}
+
+/// The rotation about a unit axis by an angle, radians.
+#[must_use]
+pub fn rotation_about_axis(axis: DVec3, angle: f64) -> DMat3 {
+    let (sin, cos) = libm::sincos(angle);
+    let rest = 1.0 - cos;
+    let DVec3 { x, y, z } = axis;
+    DMat3::from_cols(
+        DVec3::new(cos + x * x * rest, x * y * rest + z * sin, x * z * rest - y * sin),
+        DVec3::new(x * y * rest - z * sin, cos + y * y * rest, y * z * rest + x * sin),
+        DVec3::new(x * z * rest + y * sin, y * z * rest - x * sin, cos + z * z * rest),
+    )
+}
+
+impl<A, B, C> Mul<Pose<B, C>> for Pose<A, B> {
+    type Output = Pose<A, C>;
+
+    fn mul(self, other: Pose<B, C>) -> Pose<A, C> {
+        Pose {
+            rotation: self.rotation * other.rotation,
+            translation: self.rotation * other.translation + self.translation,
+            frames: PhantomData,
+        }
+    }
+}
+
+impl<A, B> Clone for Pose<A, B> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<A, B> Copy for Pose<A, B> {}
+
+impl<A, B> PartialEq for Pose<A, B> {
+    fn eq(&self, other: &Self) -> bool {
+        self.rotation == other.rotation && self.translation == other.translation
+    }
+}
+
+impl<A: Frame, B: Frame> fmt::Debug for Pose<A, B> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = format!("{}_from_{}", A::NAME, B::NAME);
+        f.debug_struct(&name)
+            .field("rotation", &self.rotation)
+            .field("translation", &self.translation)
+            .finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn example() -> Pose<Base, Link> {
+        Pose::from_xyz_euler([0.1, -0.2, 0.3], [0.4, -0.5, 2.6])
+    }
+
+    #[test]
+    fn euler_angles_are_extrinsic_xyz() {
+        let [a, b, c] = [0.3, -0.7, 1.1];
+        let about = |axis, angle| rotation_about_axis(axis, angle);
+        let expected = about(DVec3::Z, c) * about(DVec3::Y, b) * about(DVec3::X, a);
+        assert!(
+            (rotation_from_euler_xyz([a, b, c]) - expected)
+                .to_cols_array()
+                .iter()
+                .all(|e| e.abs() < 1e-15)
+        );
+        let back = euler_xyz_from_rotation(&expected);
+        assert!(back.iter().zip([a, b, c]).all(|(x, y)| (x - y).abs() < 1e-14));
+    }
+
+    #[test]
+    fn the_pole_of_the_euler_angles_reproduces_the_rotation() {
+        for b in [std::f64::consts::FRAC_PI_2, -std::f64::consts::FRAC_PI_2] {
+            let rotation = rotation_from_euler_xyz([0.4, b, -1.2]);
+            let again = rotation_from_euler_xyz(euler_xyz_from_rotation(&rotation));
+            assert!((rotation - again).to_cols_array().iter().all(|e| e.abs() < 1e-12));
+        }
+    }
+
+    #[test]
+    fn inverse_and_disk_round_trip() {
+        let pose = example();
+        let identity: Pose<Base, Base> = pose * pose.inverse();
+        assert!(
+            (identity.rotation - DMat3::IDENTITY)
+                .to_cols_array()
+                .iter()
+                .all(|e| e.abs() < 1e-15)
+        );
+        assert!(identity.translation.length() < 1e-15);
+        assert_eq!(Pose::<Base, Link>::from_rigid(&pose.to_rigid()).unwrap(), pose);
+        assert_eq!(Pose::<Base, Link>::from_matrix4(&pose.to_matrix4()).unwrap(), pose);
+    }
+
+    #[test]
+    fn what_is_not_rigid_is_refused() {
+        let good = example().to_rigid();
+        let scaled = RigidPose {
+            rotation: good.rotation.map(|entry| entry * 1.01),
+            ..good
+        };
+        assert!(
+            Pose::<Base, Link>::from_rigid(&scaled)
+                .unwrap_err()
+                .to_string()
+                .contains("base_from_link")
+        );
+        let mut mirrored = good;
+        for entry in &mut mirrored.rotation[..3] {
+            *entry = -*entry;
+        }
+        assert!(
+            Pose::<Base, Link>::from_rigid(&mirrored)
+                .unwrap_err()
+                .to_string()
+                .contains("reflection")
+        );
+        let broken = RigidPose {
+            translation: [f64::NAN, 0.0, 0.0],
+            ..good
+        };
+        assert!(
+            Pose::<Base, Link>::from_rigid(&broken)
+                .unwrap_err()
+                .to_string()
+                .contains("finite")
+        );
+        let mut matrix = example().to_matrix4();
+        matrix[12] = 1.0;
+        assert!(
+            Pose::<Base, Link>::from_matrix4(&matrix)
+                .unwrap_err()
+                .to_string()
+                .contains("last row")
+        );
+    }
+
+    #[test]
+    fn a_matrix_with_few_digits_becomes_orthonormal() {
+        let mut rigid = example().to_rigid();
+        rigid.rotation = rigid.rotation.map(|entry| (entry * 1e4).round() / 1e4);
+        let pose = Pose::<Base, Link>::from_rigid(&rigid).unwrap();
+        assert!(pose.rigidity_residual() > 1e-6);
+        assert!(pose.orthonormalized().rigidity_residual() < 1e-15);
+        assert!(
+            (pose.orthonormalized().rotation - example().rotation)
+                .to_cols_array()
+                .iter()
+                .all(|e| e.abs() < 1e-4)
+        );
+    }
+
+    #[test]
+    fn quaternions_have_a_non_negative_real_part() {
+        let pose: Pose<Base, Link> = Pose::from_xyz_euler([0.0; 3], [3.0, 0.2, -3.1]);
+        let quaternion = pose.quaternion();
+        assert!(quaternion.w >= 0.0);
+        assert!(
+            (DMat3::from_quat(quaternion) - pose.rotation)
+                .to_cols_array()
+                .iter()
+                .all(|e| e.abs() < 1e-12)
+        );
+    }
+}
