@@ -5,6 +5,7 @@ pub mod atomic;
 pub mod episode;
 pub mod error;
 pub mod key;
+pub mod ledger;
 pub mod pose;
 pub mod protocol;
 pub mod r4c;

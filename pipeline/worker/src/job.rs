@@ -220,7 +220,7 @@ fn remove_temporaries(output: &Path) {
         let file = entry.file_name();
         let file = file.to_string_lossy();
         let middle = file.strip_prefix(&start).and_then(|rest| rest.strip_suffix(".tmp"));
-        if middle.is_some_and(|middle| middle.split('.').any(|part| part == own)) {
+        if middle.is_some_and(|middle| middle.split(['.', '-']).any(|part| part == own)) {
             let _ = std::fs::remove_file(entry.path());
         }
     }
