@@ -194,8 +194,8 @@ fn pieces(tiles: &[TileOutput], projection: &Projection, rows: &[u32], count: us
             // Entries of this chunk in a tile are those with a slot in the chunk's segment.
             let segment = |tile: &TileOutput| {
                 let entries = &tile.recorded.contributions;
-                let slot_end = |bound: usize| tile.list.records.partition_point(|&r| (r as usize) < bound) as u32;
-                let (low, high) = (slot_end(first), slot_end(end));
+                let slots = tile.list.segment(chunk);
+                let (low, high) = (slots.start as u32, slots.end as u32);
                 entries.partition_point(|e| e.slot < low)..entries.partition_point(|e| e.slot < high)
             };
             let mut offsets = vec![0_u32; range.len() + 1];

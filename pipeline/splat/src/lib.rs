@@ -1,5 +1,6 @@
 //! Gaussian fields, spherical harmonics and the differentiable rasteriser.
 
+pub mod backward;
 pub mod camera;
 pub mod contributions;
 pub mod error;
@@ -12,6 +13,7 @@ pub mod sh;
 mod simd;
 mod tile;
 
+pub use backward::{Gradients, RenderGradient, Tape, backward, backward_into, render_with_tape};
 pub use camera::{Camera, Mode, RasterConfig};
 pub use contributions::{
     Contributions, Eligible, pool_in_parts, render_views_with_contributions, render_with_contributions,

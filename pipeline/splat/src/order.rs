@@ -9,6 +9,8 @@ pub(crate) struct TileList {
     pub(crate) records: Vec<u32>,
     /// Slots in depth order, with the depth bits in the high word.
     pub(crate) keys: Vec<u64>,
+    /// First slot of every chunk's entries and the end. `[chunks + 1]`
+    pub(crate) segments: Vec<u32>,
     spare: Vec<u64>,
 }
 
@@ -17,6 +19,8 @@ impl TileList {
     pub(crate) fn fill(&mut self, projection: &Projection, tile: usize) {
         self.records.clear();
         self.keys.clear();
+        self.segments.clear();
+        self.segments.push(0);
         let (mut low, mut high) = (u32::MAX, 0_u32);
         for chunk in &projection.chunks {
             let range = chunk.offsets[tile] as usize..chunk.offsets[tile + 1] as usize;
@@ -28,6 +32,7 @@ impl TileList {
                     .push((key & 0xffff_ffff_0000_0000) | self.records.len() as u64);
                 self.records.push(key as u32);
             }
+            self.segments.push(self.records.len() as u32);
         }
         sort(&mut self.keys, &mut self.spare, low, high);
     }
@@ -35,6 +40,11 @@ impl TileList {
     /// Number of entries.
     pub(crate) fn len(&self) -> usize {
         self.keys.len()
+    }
+
+    /// Slots of a chunk's entries.
+    pub(crate) fn segment(&self, chunk: usize) -> std::ops::Range<usize> {
+        self.segments[chunk] as usize..self.segments[chunk + 1] as usize
     }
 
     /// Slot of the entry at a place of the depth order.

@@ -51,7 +51,8 @@ pub(crate) struct ChunkBins {
     pub(crate) offsets: Vec<u32>,
     /// Depth bits in the high word, record index in the low word, records ascending inside a tile.
     pub(crate) keys: Vec<u64>,
-    visible: usize,
+    /// Number of records.
+    pub(crate) visible: usize,
     invalid: usize,
 }
 

@@ -1,0 +1,429 @@
+//! Gradients of a render with respect to everything that went in (`gaussian-rasterizer.md` section 9), hand-written.
+//!
+//! The backward pass walks each tile's list from back to front. With `R` the colour behind a Gaussian, seen through the
+//! gradient image and normalised by the transmittance there, `dL/dalpha = T (q - R)` and `R` moves by `alpha (q - R)`:
+//! no division by `1 - alpha` except to recover `T`. Each tile sums into slots of its own; the slots of a Gaussian are
+//! added in tile order, and cameras in index order, so that every number of threads gives the same bits.
+
+mod chain;
+mod tile;
+
+use rayon::prelude::*;
+
+use crate::camera::{ALPHA_FLOOR, Camera, RasterConfig, View};
+use crate::error::{Result, SplatError};
+use crate::gaussians::Gaussians;
+use crate::project::{CHUNK, Projection, project};
+use crate::render::{Render, TileOutput, Work, check};
+use crate::simd::{LANES, dispatch};
+use crate::tile::{EXTRA, Extra};
+
+/// What the backward pass needs of a forward pass.
+pub struct Tape {
+    view: View,
+    projection: Projection,
+    tiles: Vec<TileOutput>,
+    gaussians: usize,
+    extra_channels: usize,
+}
+
+/// Gradient of a loss with respect to the outputs of a render; an empty slice stands for zeros.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct RenderGradient<'a> {
+    /// `[H, W, 3]`
+    pub rgb: &'a [f32],
+    /// `[H, W]`
+    pub alpha: &'a [f32],
+    /// `[H, W]`
+    pub depth_accumulated: &'a [f32],
+    /// `[H, W]`
+    pub depth_expected: &'a [f32],
+    /// `[H, W, E]`
+    pub extra_accumulated: &'a [f32],
+    /// `[H, W, E]`, the normalised extra channels
+    pub extra: &'a [f32],
+}
+
+/// Gradient of a loss with respect to the inputs of a render, laid out as these. Gaussians that were dropped have zeros.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Gradients {
+    /// `[N, 3]`
+    pub means: Vec<f32>,
+    /// `[N, 4]`, with respect to the quaternions as given (not normalised)
+    pub quats: Vec<f32>,
+    /// `[N, 3]`
+    pub scales: Vec<f32>,
+    /// `[N]`
+    pub opacities: Vec<f32>,
+    /// As the values of [`crate::Colour`].
+    pub colour: Vec<f32>,
+    /// `[N, E]`
+    pub extra: Vec<f32>,
+    /// With respect to the background colour.
+    pub background: [f64; 3],
+    /// With respect to the nine numbers of the camera's rotation matrix, as if they were free.
+    pub camera_rotation: [f64; 9],
+    /// With respect to the camera's translation.
+    pub camera_translation: [f64; 3],
+    /// Gaussians whose gradient left the range of f32 and was replaced by zeros.
+    pub not_finite: usize,
+}
+
+impl Gradients {
+    /// Zeros for a scene.
+    #[must_use]
+    pub fn zeros(gaussians: &Gaussians) -> Self {
+        Self {
+            means: vec![0.0; gaussians.means.len()],
+            quats: vec![0.0; gaussians.quats.len()],
+            scales: vec![0.0; gaussians.scales.len()],
+            opacities: vec![0.0; gaussians.opacities.len()],
+            colour: vec![0.0; gaussians.colour.values().len()],
+            extra: vec![0.0; gaussians.extra.len()],
+            background: [0.0; 3],
+            camera_rotation: [0.0; 9],
+            camera_translation: [0.0; 3],
+            not_finite: 0,
+        }
+    }
+}
+
+impl Tape {
+    /// Number of Gaussians that contribute to each pixel. `[H, W]`
+    #[must_use]
+    pub fn contributors(&self) -> Vec<u32> {
+        let mut counts = vec![0; self.view.width * self.view.height];
+        for tile in &self.tiles {
+            tile.for_each_pixel(|row, column, index, _| {
+                counts[row * self.view.width + column] = tile.contributors[index];
+            });
+        }
+        counts
+    }
+}
+
+/// Renders one view and keeps what [`backward`] needs. The image is that of [`crate::render()`], bit for bit.
+///
+/// # Errors
+/// As [`crate::render()`].
+pub fn render_with_tape(gaussians: &Gaussians, camera: &Camera, config: &RasterConfig) -> Result<(Render, Tape)> {
+    check(gaussians, camera, config)?;
+    let view = View::new(camera);
+    let projection = project(gaussians, &view, config)?;
+    let work = Work {
+        gaussians,
+        view: &view,
+        config,
+        projection: &projection,
+        eligible: &|_| false,
+    };
+    let tiles = work.tiles::<true, false>();
+    let render = work.image(&tiles);
+    let extra_channels = gaussians.extra_channels;
+    Ok((
+        render,
+        Tape {
+            view,
+            projection,
+            tiles,
+            gaussians: gaussians.len(),
+            extra_channels,
+        },
+    ))
+}
+
+/// Gradients of one view. `gaussians` and `config` must be those of the forward pass.
+///
+/// # Errors
+/// When the gradient images or the scene do not fit the forward pass.
+pub fn backward(
+    gaussians: &Gaussians,
+    config: &RasterConfig,
+    tape: &Tape,
+    gradient: &RenderGradient<'_>,
+) -> Result<Gradients> {
+    let mut gradients = Gradients::zeros(gaussians);
+    backward_into(gaussians, config, tape, gradient, &mut gradients)?;
+    Ok(gradients)
+}
+
+/// As [`backward`], added to gradients that are there already (of other views). The camera gradients add up too: keep
+/// one [`Gradients`] per camera where they are wanted.
+///
+/// # Errors
+/// As [`backward`].
+pub fn backward_into(
+    gaussians: &Gaussians,
+    config: &RasterConfig,
+    tape: &Tape,
+    gradient: &RenderGradient<'_>,
+    into: &mut Gradients,
+) -> Result<()> {
+    gaussians.validate()?;
+    config.validate()?;
+    gradient.validate(tape)?;
+    SplatError::check(
+        "the scene of the backward pass",
+        gaussians.len(),
+        tape.gaussians,
+        "as in the forward pass",
+    )?;
+    let extra = gaussians.extra_channels;
+    SplatError::check(
+        "the extra channels of the backward pass",
+        extra,
+        tape.extra_channels,
+        "as in the forward pass",
+    )?;
+    SplatError::check(
+        "gradients of the means",
+        into.means.len(),
+        gaussians.means.len(),
+        "those of this scene",
+    )?;
+    SplatError::check(
+        "gradients of the colours",
+        into.colour.len(),
+        gaussians.colour.values().len(),
+        "as above",
+    )?;
+    SplatError::check(
+        "gradients of the extra channels",
+        into.extra.len(),
+        gaussians.extra.len(),
+        "as above",
+    )?;
+
+    let pass = Pass {
+        gaussians,
+        config,
+        tape,
+        gradient,
+    };
+    let tiles: Vec<TileGradient> = tape.tiles.par_iter().map(|tile| pass.tile(tile)).collect();
+    for tile in &tiles {
+        for k in 0..3 {
+            into.background[k] += tile.background[k];
+        }
+    }
+    pass.gather(&tiles, into);
+    Ok(())
+}
+
+impl RenderGradient<'_> {
+    fn validate(&self, tape: &Tape) -> Result<()> {
+        let pixels = tape.view.width * tape.view.height;
+        let check = |array, values: &[f32], channels: usize| {
+            if values.is_empty() {
+                return Ok(());
+            }
+            SplatError::check(array, values.len(), channels * pixels, "the size of the rendered image")
+        };
+        check("gradient of rgb", self.rgb, 3)?;
+        check("gradient of alpha", self.alpha, 1)?;
+        check("gradient of the accumulated depth", self.depth_accumulated, 1)?;
+        check("gradient of the expected depth", self.depth_expected, 1)?;
+        check(
+            "gradient of the accumulated extra channels",
+            self.extra_accumulated,
+            tape.extra_channels,
+        )?;
+        check("gradient of the extra channels", self.extra, tape.extra_channels)
+    }
+}
+
+/// Moments per slot before the extra channels: `sum dp (1, dx, dy, dx dx, dx dy, dy dy)` with `dp = alpha dL/dalpha`, then
+/// the gradients of red, green, blue and z.
+const MOMENTS: usize = 10;
+
+/// Gradients of one tile.
+struct TileGradient {
+    /// Moments and extra channels of every slot. `[slots, MOMENTS + E]`
+    slots: Vec<f32>,
+    background: [f64; 3],
+}
+
+struct Pass<'a> {
+    gaussians: &'a Gaussians,
+    config: &'a RasterConfig,
+    tape: &'a Tape,
+    gradient: &'a RenderGradient<'a>,
+}
+
+impl Pass<'_> {
+    fn tile(&self, tile: &TileOutput) -> TileGradient {
+        let channels = self.tape.extra_channels;
+        let stride = MOMENTS + channels;
+        let mut slots = vec![0.0; tile.list.len() * stride];
+        let (pixels, background) = self.output_layer(tile);
+        for first in (0..channels.max(1)).step_by(EXTRA) {
+            let count = EXTRA.min(channels - first.min(channels));
+            let extra = Extra {
+                values: &self.gaussians.extra,
+                channels,
+                first,
+                count,
+            };
+            let records = &self.tape.projection.records;
+            let alpha_max = self.config.alpha_max;
+            let slots = &mut slots;
+            if count == 0 {
+                let kernel = tile::Walk::<0> {
+                    tile,
+                    records,
+                    extra,
+                    alpha_max,
+                    pixels: &pixels,
+                    slots,
+                };
+                dispatch(self.config.simd, kernel);
+            } else {
+                let kernel = tile::Walk::<EXTRA> {
+                    tile,
+                    records,
+                    extra,
+                    alpha_max,
+                    pixels: &pixels,
+                    slots,
+                };
+                dispatch(self.config.simd, kernel);
+            }
+        }
+        TileGradient { slots, background }
+    }
+
+    /// Section 9.1: gradients with respect to the accumulated channels, and the start of the walk.
+    fn output_layer(&self, tile: &TileOutput) -> (PixelGradient, [f64; 3]) {
+        let Self {
+            config, tape, gradient, ..
+        } = self;
+        let channels = tape.extra_channels;
+        let length = tile.area.blocks() * LANES;
+        let mut pixels = PixelGradient {
+            channels: vec![0.0; (4 + channels) * length],
+            behind: vec![0.0; length],
+        };
+        let mut background = [0.0; 3];
+        let at = |values: &[f32], index: usize| if values.is_empty() { 0.0 } else { values[index] };
+        tile.for_each_pixel(|row, column, index, stride| {
+            let pixel = row * tape.view.width + column;
+            let alpha = tile.sums[index];
+            let floored = alpha.max(ALPHA_FLOOR);
+            let inverse = 1.0 / floored;
+            let above = if alpha > ALPHA_FLOOR { 1.0 } else { 0.0 };
+            let mut g_alpha = at(gradient.alpha, pixel);
+            let mut normalised = |plain: f32, expected: f32, sum: f32| {
+                g_alpha -= above * expected * sum * inverse * inverse;
+                plain + expected * inverse
+            };
+            let v = &mut pixels.channels;
+            v[3 * stride + index] = normalised(
+                at(gradient.depth_accumulated, pixel),
+                at(gradient.depth_expected, pixel),
+                tile.sums[4 * stride + index],
+            );
+            for k in 0..channels {
+                v[(4 + k) * stride + index] = normalised(
+                    at(gradient.extra_accumulated, pixel * channels + k),
+                    at(gradient.extra, pixel * channels + k),
+                    tile.sums[(5 + k) * stride + index],
+                );
+            }
+            let mut behind = -g_alpha;
+            for k in 0..3 {
+                let g = at(gradient.rgb, 3 * pixel + k);
+                v[k * stride + index] = g;
+                behind += g * config.background[k];
+                background[k] += f64::from(tile.transmittance[index]) * f64::from(g);
+            }
+            pixels.behind[index] = behind;
+        });
+        (pixels, background)
+    }
+
+    /// Adds the slots of every Gaussian in tile order and carries the sums through the projection.
+    fn gather(&self, tiles: &[TileGradient], into: &mut Gradients) {
+        let Self {
+            gaussians,
+            config,
+            tape,
+            ..
+        } = self;
+        let channels = tape.extra_channels;
+        let colours = gaussians.colour.values_per_gaussian();
+        let stride = MOMENTS + channels;
+        let cameras: Vec<chain::CameraGradient> = (into.means.par_chunks_mut(3 * CHUNK))
+            .zip(into.quats.par_chunks_mut(4 * CHUNK))
+            .zip(into.scales.par_chunks_mut(3 * CHUNK))
+            .zip(into.opacities.par_chunks_mut(CHUNK))
+            .zip(into.colour.par_chunks_mut(colours * CHUNK))
+            .zip(chunks_or_empty(&mut into.extra, channels, tape.projection.chunks.len()))
+            .enumerate()
+            .map(|(chunk, (((((means, quats), scales), opacities), colour), extra))| {
+                let first = chunk * CHUNK;
+                let visible = tape.projection.chunks[chunk].visible;
+                let mut sums = vec![0.0_f32; visible * stride];
+                for (tile, gradient) in tape.tiles.iter().zip(tiles) {
+                    for slot in tile.list.segment(chunk) {
+                        let local = tile.list.records[slot] as usize - first;
+                        let to = &mut sums[local * stride..(local + 1) * stride];
+                        let from = &gradient.slots[slot * stride..(slot + 1) * stride];
+                        for (to, from) in to.iter_mut().zip(from) {
+                            *to += from;
+                        }
+                    }
+                }
+                let mut camera = chain::CameraGradient::default();
+                let chain = chain::Chain {
+                    gaussians,
+                    view: &tape.view,
+                    config,
+                };
+                for (local, sums) in sums.chunks_exact(stride).enumerate() {
+                    if sums.iter().all(|&s| s == 0.0) {
+                        continue;
+                    }
+                    let record = &tape.projection.records[first + local];
+                    let index = record.gaussian as usize;
+                    let row = index - first;
+                    let out = chain::Rows {
+                        mean: &mut means[3 * row..3 * row + 3],
+                        quat: &mut quats[4 * row..4 * row + 4],
+                        scale: &mut scales[3 * row..3 * row + 3],
+                        opacity: &mut opacities[row],
+                        colour: &mut colour[colours * row..colours * (row + 1)],
+                        extra: &mut extra[channels * row..channels * (row + 1)],
+                    };
+                    chain.run(index, record, sums, out, &mut camera);
+                }
+                camera
+            })
+            .collect();
+        for camera in &cameras {
+            for k in 0..9 {
+                into.camera_rotation[k] += camera.rotation[k];
+            }
+            for k in 0..3 {
+                into.camera_translation[k] += camera.translation[k];
+            }
+            into.not_finite += camera.not_finite;
+        }
+    }
+}
+
+/// Chunks of the extra channels; as many empty ones as there are chunks where there are no channels.
+fn chunks_or_empty(values: &mut [f32], channels: usize, chunks: usize) -> Vec<&mut [f32]> {
+    if channels == 0 {
+        (0..chunks).map(|_| Default::default()).collect()
+    } else {
+        values.chunks_mut(channels * CHUNK).collect()
+    }
+}
+
+/// Gradient image of a tile.
+struct PixelGradient {
+    /// With respect to the accumulated red, green, blue, z and extra channels, each `[blocks * 16]`.
+    channels: Vec<f32>,
+    /// `R` behind the last Gaussian: the background seen through the gradient. `[blocks * 16]`
+    behind: Vec<f32>,
+}
