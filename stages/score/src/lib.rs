@@ -1,3 +1,11 @@
 //! Score: render the field at the query plan, measure, write scores.
+//!
+//! [`metrics`] holds the measures as functions of arrays, [`measure`] applies them to the predictions of a clip, and
+//! [`Score`] is the stage that renders those predictions from a field. Nothing in the measures depends on how the
+//! predictions were made, so that outside methods are scored by the same code.
 
+pub mod measure;
 pub mod metrics;
+mod stage;
+
+pub use stage::{KeepRenders, Score, ScoreParams, Setting};
