@@ -1,6 +1,7 @@
 //! The accumulated, time-shared correction of a field and the attributes that the updater sees
 //! (`stage2-network.md` sections B.2 and B.6).
 
+use rayon::prelude::*;
 use rogs_schemas::records::field::RAW_CHANNELS;
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, ScaleResidual};
 use rogs_schemas::units::{iu_from_m, m_from_iu};
@@ -57,8 +58,6 @@ pub struct Correction {
     /// `[N, 59]`; positions in METRES (the form in which they are stored, so that a resumed run continues from the same
     /// bits), the others in the parameterisation of Stage 1.
     values: Vec<f32>,
-    /// 1 for Gaussians that an update has reached. `[N]`
-    touched: Vec<u8>,
 }
 
 impl Correction {
@@ -67,42 +66,39 @@ impl Correction {
     pub fn zero(count: usize) -> Self {
         Self {
             values: vec![0.0; count * RESIDUAL_CHANNELS],
-            touched: vec![0; count],
         }
     }
 
     /// Rebuilds a stored correction: flags of all Gaussians and the values of the touched ones in index order.
     /// `None` when there are not as many values as flags ask for.
     #[must_use]
-    pub fn from_touched(touched: Vec<u8>, values: &[f32]) -> Option<Self> {
+    pub fn from_touched(touched: &[u8], values: &[f32]) -> Option<Self> {
         let count = touched.iter().filter(|&&flag| flag != 0).count();
         if values.len() != count * RESIDUAL_CHANNELS {
             return None;
         }
-        let mut all = Self {
-            values: vec![0.0; touched.len() * RESIDUAL_CHANNELS],
-            touched,
-        };
-        let targets = all
-            .values
-            .chunks_exact_mut(RESIDUAL_CHANNELS)
-            .zip(&all.touched)
-            .filter(|(_, flag)| **flag != 0);
-        for ((target, _), source) in targets.zip(values.chunks_exact(RESIDUAL_CHANNELS)) {
+        let mut all = Self::zero(touched.len());
+        let rows = all.values.chunks_exact_mut(RESIDUAL_CHANNELS).zip(touched);
+        let targets = rows.filter(|(_, flag)| **flag != 0).map(|(row, _)| row);
+        for (target, source) in targets.zip(values.chunks_exact(RESIDUAL_CHANNELS)) {
             target.copy_from_slice(source);
         }
         Some(all)
     }
 
-    /// Flags of all Gaussians and the values of the touched ones in index order, as they are stored.
+    /// The correction as it is stored: a flag per Gaussian, set where any value is not zero, and the values of the
+    /// flagged ones in index order. A correction of zero is no correction: it renders as Stage 1, bit for bit.
     #[must_use]
     pub fn to_touched(&self) -> (Vec<u8>, Vec<f32>) {
-        let rows = self
-            .values
-            .chunks_exact(RESIDUAL_CHANNELS)
-            .zip(&self.touched)
-            .filter(|(_, flag)| **flag != 0);
-        (self.touched.clone(), rows.flat_map(|(row, _)| row).copied().collect())
+        let rows = || self.values.par_chunks_exact(RESIDUAL_CHANNELS);
+        let changed = |row: &[f32]| row.iter().any(|value| value.to_bits() != 0);
+        let touched: Vec<u8> = rows().map(|row| u8::from(changed(row))).collect();
+        let count = touched.iter().filter(|&&flag| flag != 0).count();
+        let mut values = Vec::with_capacity(count * RESIDUAL_CHANNELS);
+        for (row, _) in self.values.chunks_exact(RESIDUAL_CHANNELS).zip(&touched).filter(|(_, flag)| **flag != 0) {
+            values.extend_from_slice(row);
+        }
+        (touched, values)
     }
 
     /// The correction of one Gaussian. `[59]`, position in metres
@@ -114,13 +110,13 @@ impl Correction {
     /// Number of Gaussians.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.touched.len()
+        self.values.len() / RESIDUAL_CHANNELS
     }
 
     /// True when there is no Gaussian.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.touched.is_empty()
+        self.values.is_empty()
     }
 
     /// Adds a gated residual to one Gaussian and bounds its accumulated position correction. `residual` is `[59]`,
@@ -140,7 +136,6 @@ impl Correction {
         for (axis, value) in position.into_iter().enumerate() {
             row[axis] = m_from_iu(value);
         }
-        self.touched[gaussian] = 1;
     }
 
     /// The updater's 59 attribute channels of one Gaussian at one time: centre 3 (internal units), scale 3, rotation 4,
@@ -224,8 +219,8 @@ mod tests {
             (touched.as_slice(), values.len()),
             ([0, 1, 0].as_slice(), RESIDUAL_CHANNELS)
         );
-        assert_eq!(Correction::from_touched(touched.clone(), &values).unwrap(), correction);
-        assert!(Correction::from_touched(touched, &values[1..]).is_none());
+        assert_eq!(Correction::from_touched(&touched, &values).unwrap(), correction);
+        assert!(Correction::from_touched(&touched, &values[1..]).is_none());
     }
 
     #[test]

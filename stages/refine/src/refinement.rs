@@ -1,0 +1,246 @@
+//! The recurrent refinement of one clip (`stage2-network.md` section B.7).
+
+use rogs_networks::stage2::{Correction, Plane, TokenSet};
+use rogs_schemas::key::CacheKey;
+use rogs_schemas::records::clip::Clip;
+use rogs_schemas::records::field::{Field, NamedArray, RAW_CHANNELS};
+use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep};
+use rogs_schemas::records::robot::RobotMaps;
+use rogs_schemas::units::iu_from_m;
+use rogs_splat::{Contributions, Eligible, Gaussians, RasterConfig, TimedField, render_views_with_contributions};
+use rogs_worker::{StageError, StageResult};
+
+use crate::resume::resumed;
+use crate::source_time::{SourceTime, source_times};
+use crate::{LoadedRefiner, RefineParams};
+
+/// The records of one clip.
+#[derive(Clone, Copy)]
+pub struct ClipInputs<'a> {
+    /// The clip.
+    pub clip: &'a Clip,
+    /// Its robot maps, for the camera poses.
+    pub robot: &'a RobotMaps,
+    /// The Stage-1 field.
+    pub field: &'a Field,
+    /// Key of the field's file.
+    pub field_key: CacheKey,
+    /// An earlier refinement of the same field to continue from.
+    pub resume: Option<&'a Refinement>,
+}
+
+/// The recurrent state after some updates.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Recurrence {
+    /// Updates done.
+    pub(crate) update: u32,
+    /// Accumulated correction.
+    pub(crate) correction: Correction,
+    /// Hidden state of the tokens of each source time. `[times]` of `[tokens, S]`
+    pub(crate) states: Vec<Vec<f32>>,
+    /// Corrections to keep, without the last.
+    pub(crate) steps: Vec<RefinementStep>,
+}
+
+/// Refines a field. `report` hears the fraction done and what is being done.
+///
+/// # Errors
+/// When the records do not belong together, or the earlier refinement does not fit.
+pub fn refine(
+    inputs: ClipInputs<'_>,
+    network: &LoadedRefiner,
+    params: &RefineParams,
+    report: &mut dyn FnMut(f64, &str),
+) -> StageResult<Refinement> {
+    let (_, updates) = params.resolve()?;
+    report(0.0, "features of the observed images");
+    let times = source_times(inputs.clip, inputs.robot, inputs.field, &network.refiner)?;
+    let mut recurrence = match inputs.resume {
+        Some(earlier) => resumed(earlier, &inputs, network, params, &times, updates)?,
+        None => beginning(inputs.field, network, &times)?,
+    };
+    let total = f64::from(updates - recurrence.update) * times.len() as f64;
+    let mut done = 0.0;
+    while recurrence.update < updates {
+        let before = recurrence.correction.clone();
+        let stored = step(recurrence.update, &before);
+        let corrected = TimedField::new(inputs.field)
+            .and_then(|field| field.with_correction(&stored, params.scale_residual))
+            .map_err(bad_field)?;
+        for (time, state) in times.iter().zip(&mut recurrence.states) {
+            let message = format!("update {} of {updates}, source frame {}", recurrence.update + 1, time.frame);
+            report(0.02 + 0.97 * done / total, &message);
+            let scene = corrected.gaussians(time.slice.time).map_err(bad_field)?;
+            update_source_time(&inputs, network, params, time, scene, &before, &mut recurrence.correction, state)?;
+            done += 1.0;
+        }
+        recurrence.update += 1;
+        if params.keep_intermediate && recurrence.update < updates {
+            recurrence.steps.push(step(recurrence.update, &recurrence.correction));
+        }
+    }
+    Ok(record(&inputs, network, params, &times, recurrence))
+}
+
+/// The state before the first update.
+fn beginning(field: &Field, network: &LoadedRefiner, times: &[SourceTime<'_>]) -> StageResult<Recurrence> {
+    let (height, width) = (field.height as usize, field.width as usize);
+    let state = |time: &SourceTime<'_>| network.refiner.initial_state(&time.maps, height, width).map_err(internal);
+    Ok(Recurrence {
+        update: 0,
+        correction: Correction::zero(field.len()),
+        states: times.iter().map(state).collect::<StageResult<_>>()?,
+        steps: Vec::new(),
+    })
+}
+
+/// One update of the Gaussians of one source time: renders the field of `before` (the scene), pools what the error encoder says,
+/// and adds the updater's residuals to `after`. All source times read the same `before`, so their order is irrelevant.
+fn update_source_time(
+    inputs: &ClipInputs<'_>,
+    network: &LoadedRefiner,
+    params: &RefineParams,
+    time: &SourceTime<'_>,
+    scene: Gaussians,
+    before: &Correction,
+    after: &mut Correction,
+    state: &mut [f32],
+) -> StageResult<()> {
+    let refiner = &network.refiner;
+    let area = time.grid.area();
+    let owned = Eligible::Ranges(time.grid.views().iter().map(|&view| view * area..(view + 1) * area).collect());
+    let (renders, contributions) =
+        render_views_with_contributions(&scene, &time.cameras, &RasterConfig::default(), &owned).map_err(internal)?;
+    drop(scene);
+    let renders: Vec<Plane> = renders
+        .into_iter()
+        .map(|render| Plane { height: render.height, width: render.width, channels: 3, data: render.rgb })
+        .collect();
+    let errors = refiner.encoder().forward(&renders, &time.observed, &time.maps).map_err(internal)?;
+    let (set, mass) = token_set(inputs.field, params, refiner.config().features(), time, before, &contributions, errors)?;
+    let tokens = set.tokens.clone();
+    let residuals = refiner.update(&time.grid, set, state).map_err(internal)?;
+    let width = refiner.config().residuals();
+    for (&token, residual) in tokens.iter().zip(residuals.chunks_exact(width)) {
+        let members = time.grid.gaussians(token as usize);
+        for (gaussian, residual) in members.zip(residual.chunks_exact(RESIDUAL_CHANNELS)) {
+            // In a token of several Gaussians, those that no pixel sees are left alone.
+            if mass[row_of(&contributions, gaussian)] > params.epsilon {
+                after.add(gaussian, residual, refiner.gates());
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The tokens with enough contribution, their attributes and pooled feedback; and the mass of every owned Gaussian.
+fn token_set(
+    field: &Field,
+    params: &RefineParams,
+    features: usize,
+    time: &SourceTime<'_>,
+    before: &Correction,
+    contributions: &Contributions,
+    errors: Vec<Plane>,
+) -> StageResult<(TokenSet, Vec<f32>)> {
+    let mass = contributions.mass();
+    let pooled = {
+        let errors = errors.into_iter().map(|plane| plane.data).collect::<Vec<_>>().concat();
+        contributions.pool(&errors, features).map_err(internal)?
+    };
+    let raw = time.slice.raw(&field.base_raw);
+    let mut set = TokenSet::default();
+    let per_token = time.grid.per_token();
+    for token in 0..time.grid.len() {
+        let rows = || time.grid.gaussians(token).map(|gaussian| row_of(contributions, gaussian));
+        let total: f32 = rows().map(|row| mass[row]).sum();
+        if total <= params.epsilon || total.is_nan() {
+            continue;
+        }
+        set.tokens.push(token as u32);
+        let start = set.feedback.len();
+        set.feedback.resize(start + features, 0.0);
+        let feedback = &mut set.feedback[start..];
+        for row in rows() {
+            for (sum, value) in feedback.iter_mut().zip(&pooled[row * features..(row + 1) * features]) {
+                *sum += value;
+            }
+        }
+        feedback.iter_mut().for_each(|value| *value /= total);
+
+        let start = set.attributes.len();
+        set.attributes.resize(start + per_token * RESIDUAL_CHANNELS, 0.0);
+        let attributes = set.attributes[start..].chunks_exact_mut(RESIDUAL_CHANNELS);
+        for (member, (gaussian, out)) in time.grid.gaussians(token).zip(attributes).enumerate() {
+            let centre = stage1_centre(field, time, gaussian);
+            let raw = &raw[gaussian * RAW_CHANNELS..(gaussian + 1) * RAW_CHANNELS];
+            before.attributes(gaussian, centre, raw, params.scale_residual, out);
+            if member == 0 {
+                let corrected = [out[0], out[1], out[2]];
+                set.positions.push(if params.recompute_knn { corrected } else { centre });
+            }
+        }
+    }
+    Ok((set, mass))
+}
+
+/// Row of a Gaussian of the rendered source time in its contributions. The rows are whole views, ascending.
+fn row_of(contributions: &Contributions, gaussian: usize) -> usize {
+    contributions.rows.partition_point(|&row| (row as usize) < gaussian)
+}
+
+/// Centre of a Gaussian at a source time before any correction, internal units.
+fn stage1_centre(field: &Field, time: &SourceTime<'_>, gaussian: usize) -> [f32; 3] {
+    let part = |axis: usize| field.position_m[3 * gaussian + axis] + time.slice.displacement_m[3 * gaussian + axis];
+    [0, 1, 2].map(|axis| iu_from_m(part(axis)))
+}
+
+/// A correction as it is stored.
+pub(crate) fn step(update: u32, correction: &Correction) -> RefinementStep {
+    let (touched, values) = correction.to_touched();
+    RefinementStep { update, touched, values }
+}
+
+fn record(
+    inputs: &ClipInputs<'_>,
+    network: &LoadedRefiner,
+    params: &RefineParams,
+    times: &[SourceTime<'_>],
+    recurrence: Recurrence,
+) -> Refinement {
+    let Recurrence { update, correction, states, mut steps } = recurrence;
+    steps.push(step(update, &correction));
+    let width = network.refiner.config().state;
+    let named = |(time, data): (&SourceTime<'_>, Vec<f32>)| NamedArray {
+        name: state_name(time.frame),
+        shape: vec![(data.len() / width) as u32, width as u32],
+        data,
+    };
+    let resume_state = if params.keep_state { times.iter().zip(states).map(named).collect() } else { Vec::new() };
+    Refinement {
+        clip_id: inputs.clip.clip_id.clone(),
+        field_key: inputs.field_key,
+        gaussian_count: inputs.field.len() as u64,
+        updates: update,
+        preset: network.refiner.config().name.clone(),
+        weights: network.info.clone(),
+        scale_residual: params.scale_residual,
+        steps,
+        resume_state,
+    }
+}
+
+/// Name of the stored hidden state of a source time.
+pub(crate) fn state_name(frame: u32) -> String {
+    format!("state.{frame:04}")
+}
+
+/// An error about the field.
+fn bad_field(error: rogs_splat::SplatError) -> StageError {
+    StageError::bad_input(error.to_string())
+}
+
+/// An error of a library that our own arrays should not have caused.
+fn internal(error: impl std::fmt::Display) -> StageError {
+    StageError::internal(error.to_string())
+}

@@ -1,0 +1,68 @@
+//! The network behind a run: from a weights file, or seeded.
+
+use std::path::Path;
+
+use rogs_networks::stage2::{Device, Refiner, RefinerConfig, read_weights, seeded_parameters, verify_parameters};
+use rogs_schemas::records::field::WeightsInfo;
+use rogs_worker::{StageError, StageResult};
+
+use crate::RefineParams;
+
+/// A network and where it comes from.
+pub struct LoadedRefiner {
+    /// The network.
+    pub refiner: Refiner,
+    /// What to write into outputs.
+    pub info: WeightsInfo,
+    /// What a person must know about the weights.
+    pub warnings: Vec<String>,
+}
+
+/// Loads a weights file, or makes seeded weights when there is none.
+///
+/// # Errors
+/// When the file cannot be read or does not fit the preset.
+pub fn load_refiner(params: &RefineParams, weights: Option<&Path>) -> StageResult<LoadedRefiner> {
+    let (config, _) = params.resolve()?;
+    match weights {
+        Some(path) => from_file(params, &config, path),
+        None => seeded(params, &config),
+    }
+}
+
+fn seeded(params: &RefineParams, config: &RefinerConfig) -> StageResult<LoadedRefiner> {
+    let parameters = seeded_parameters(config, params.seed, &Device::flex()).map_err(|error| StageError::bad_params(error.to_string()))?;
+    let refiner = Refiner::load(&parameters, config).map_err(|error| StageError::internal(error.to_string()))?;
+    let info = WeightsInfo {
+        trained: false,
+        configuration: config.name.clone(),
+        description: format!("UNTRAINED: seeded weights, seed {}, last layer zero", params.seed),
+        hash: String::new(),
+    };
+    let warning = "the Stage-2 network is UNTRAINED (seeded weights, no weights file): its last layer is zero, so the correction is \
+                   exactly zero and the refined field equals the Stage-1 field";
+    Ok(LoadedRefiner { refiner, info, warnings: vec![warning.to_owned()] })
+}
+
+fn from_file(params: &RefineParams, config: &RefinerConfig, path: &Path) -> StageResult<LoadedRefiner> {
+    let shown = path.display();
+    let wrong = |error: rogs_networks::Error| {
+        StageError::bad_input(format!("weights `{shown}`: {error}"))
+            .with_hint(format!("the file must hold the Stage-2 tensors of the preset `{}`", config.name))
+    };
+    let mut parameters = read_weights(path, config, &Device::flex()).map_err(wrong)?;
+    let filled = verify_parameters(&mut parameters, config, params.seed).map_err(wrong)?;
+    let refiner = Refiner::load(&parameters, config).map_err(wrong)?;
+    let hash = rogs_schemas::source::hash_file(path)?.to_string();
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let trained = filled.is_empty();
+    let mut warnings = Vec::new();
+    let mut description = name;
+    if !trained {
+        let names = filled.join(", ");
+        warnings.push(format!("the weights file lacks {names}: they are UNTRAINED (seeded), so the refinement as a whole is untrained"));
+        description = format!("{description}, UNTRAINED in part: seeded {names} (seed {})", params.seed);
+    }
+    let info = WeightsInfo { trained, configuration: config.name.clone(), description, hash };
+    Ok(LoadedRefiner { refiner, info, warnings })
+}
