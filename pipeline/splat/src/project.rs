@@ -5,6 +5,8 @@
 //! visible ones and files `(depth, record)` keys by tile. Chunks are independent; a tile later collects its keys from all
 //! chunks in order, so that neither threads nor chunks show in the result.
 
+use std::sync::Mutex;
+
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
@@ -59,11 +61,49 @@ pub(crate) struct ChunkBins {
 /// All visible Gaussians of a view, and where they are.
 pub(crate) struct Projection {
     /// Records; chunk `c` starts at `c * CHUNK` and uses as many as it has visible Gaussians.
-    pub(crate) records: Vec<Projected>,
+    pub(crate) records: RecordBuffer,
     pub(crate) chunks: Vec<ChunkBins>,
     pub(crate) grid: Grid,
     pub(crate) visible: usize,
     pub(crate) invalid: usize,
+}
+
+/// Records of a view. Buffers are kept for the next view when they are dropped: fresh memory of this size costs more
+/// than the projection itself. What an earlier view left in them is never read.
+pub(crate) struct RecordBuffer(Vec<Projected>);
+
+static SPARE_BUFFERS: Mutex<Vec<Vec<Projected>>> = Mutex::new(Vec::new());
+/// Most buffers that are kept, and the most records of each (256 MB).
+const SPARE: usize = 4;
+const SPARE_RECORDS: usize = 1 << 22;
+
+impl RecordBuffer {
+    fn take(count: usize) -> Self {
+        let spare = SPARE_BUFFERS.lock().ok().and_then(|mut spare| spare.pop());
+        match spare {
+            Some(buffer) if buffer.len() >= count => Self(buffer),
+            _ => Self(bytemuck::zeroed_vec(count)),
+        }
+    }
+}
+
+impl Drop for RecordBuffer {
+    fn drop(&mut self) {
+        if (1..=SPARE_RECORDS).contains(&self.0.len())
+            && let Ok(mut spare) = SPARE_BUFFERS.lock()
+            && spare.len() < SPARE
+        {
+            spare.push(std::mem::take(&mut self.0));
+        }
+    }
+}
+
+impl std::ops::Deref for RecordBuffer {
+    type Target = [Projected];
+
+    fn deref(&self) -> &[Projected] {
+        &self.0
+    }
 }
 
 /// The tiles of an image.
@@ -94,11 +134,11 @@ impl Grid {
 /// When so many Gaussians cover so many tiles that the lists would not fit in memory.
 pub(crate) fn project(gaussians: &Gaussians, view: &View, config: &RasterConfig) -> Result<Projection> {
     let grid = Grid::new(view, config.tile_size as usize);
-    let mut records: Vec<Projected> = bytemuck::zeroed_vec(gaussians.len());
-    let chunks: Vec<ChunkBins> = records
+    let mut records = RecordBuffer::take(gaussians.len());
+    let chunks: Vec<ChunkBins> = records.0[..gaussians.len()]
         .par_chunks_mut(CHUNK)
         .enumerate()
-        .map(|(chunk, records)| {
+        .map_init(Vec::new, |entries, (chunk, records)| {
             let first = chunk * CHUNK;
             dispatch(
                 config.simd,
@@ -109,6 +149,7 @@ pub(crate) fn project(gaussians: &Gaussians, view: &View, config: &RasterConfig)
                     grid,
                     first,
                     records,
+                    entries,
                 },
             )
         })
@@ -141,6 +182,8 @@ struct ProjectChunk<'a> {
     grid: Grid,
     first: usize,
     records: &'a mut [Projected],
+    /// (tile, depth bits and record), reused from chunk to chunk.
+    entries: &'a mut Vec<(u32, u64)>,
 }
 
 impl WithSimd for ProjectChunk<'_> {
@@ -148,24 +191,16 @@ impl WithSimd for ProjectChunk<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _simd: S) -> Result<ChunkBins> {
-        let Self {
-            gaussians,
-            view,
-            config,
-            grid,
-            first,
-            records,
-        } = self;
+        let Self { gaussians, view, config, grid, first, records, entries } = self;
+        entries.clear();
         let mut bins = ChunkBins::default();
-        // (tile, record) with the depth bits beside; rectangles of a chunk are few, so one growing list will do.
-        let mut entries: Vec<(u32, u64)> = Vec::with_capacity(2 * records.len());
         let mut block = Block::new();
         let mut out = BlockOut::new();
         let mut start = 0;
         while start < records.len() {
             let count = LANES.min(records.len() - start);
             block.load(gaussians, first + start, count);
-            project_lanes(&block, view, config, &mut out);
+            project_lanes(&block, view, config, grid.tile as f32, &mut out);
             for lane in 0..count {
                 let gaussian = first + start + lane;
                 if out.valid[lane] == 0 || !tail_is_finite(gaussians, gaussian) {
@@ -177,15 +212,7 @@ impl WithSimd for ProjectChunk<'_> {
                 }
                 let record = out.record(lane, gaussian, view, gaussians);
                 let before = entries.len();
-                file(
-                    &record,
-                    &out,
-                    lane,
-                    (first + bins.visible) as u32,
-                    &grid,
-                    view,
-                    &mut entries,
-                );
+                file(&record, &out, lane, (first + bins.visible) as u32, &grid, entries);
                 if entries.len() == before {
                     continue;
                 }
@@ -197,7 +224,7 @@ impl WithSimd for ProjectChunk<'_> {
             }
             start += count;
         }
-        bins.sort(&entries, grid.tiles());
+        bins.sort(entries, grid.tiles());
         Ok(bins)
     }
 }
@@ -226,44 +253,31 @@ impl ChunkBins {
 /// Colour and extra channels are only needed of visible Gaussians, but a bad value makes the Gaussian invalid anywhere.
 #[inline(always)]
 fn tail_is_finite(gaussians: &Gaussians, index: usize) -> bool {
-    let per = gaussians.colour.values_per_gaussian();
     let zero = |values: &[f32]| values.iter().fold(0.0_f32, |sum, v| sum + v * 0.0);
     let extra = gaussians.extra_channels;
-    zero(&gaussians.colour.values()[index * per..(index + 1) * per]) == 0.0
-        && zero(&gaussians.extra[index * extra..(index + 1) * extra]) == 0.0
+    let harmonics = match &gaussians.colour {
+        Colour::Rgb(_) => &[],
+        Colour::Sh { degree, coefficients } => {
+            let per = 3 * sh::coefficient_count(*degree);
+            &coefficients[index * per..(index + 1) * per]
+        }
+    };
+    zero(harmonics) == 0.0 && zero(&gaussians.extra[index * extra..(index + 1) * extra]) == 0.0
 }
 
 /// Adds the tiles that a Gaussian reaches: those of its bounding box whose nearest point lies inside the level set.
 #[inline(always)]
-fn file(
-    record: &Projected,
-    out: &BlockOut,
-    lane: usize,
-    index: u32,
-    grid: &Grid,
-    view: &View,
-    entries: &mut Vec<(u32, u64)>,
-) {
-    let (hx, hy) = (out.half_x[lane], out.half_y[lane]);
-    // Pixel j is reached when |j + 0.5 - x| <= h.
-    let pixels = |mean: f32, half: f32, size: usize| {
-        let low = (mean - half - 0.5).ceil().clamp(0.0, size as f32);
-        let high = (mean + half + 0.5).floor().clamp(0.0, size as f32);
-        (low as usize, high as usize)
-    };
-    let (x0, x1) = pixels(record.x, hx, view.width);
-    let (y0, y1) = pixels(record.y, hy, view.height);
-    if x0 >= x1 || y0 >= y1 {
+fn file(record: &Projected, out: &BlockOut, lane: usize, index: u32, grid: &Grid, entries: &mut Vec<(u32, u64)>) {
+    let [column0, column1, row0, row1] = [0, 1, 2, 3].map(|k| out.tiles[k][lane] as usize);
+    let key = (u64::from(record.z.to_bits()) << 32) | u64::from(index);
+    if column0 == column1 && row0 == row1 {
+        entries.push(((row0 * grid.columns + column0) as u32, key));
         return;
     }
     let tile = grid.tile;
-    let (column0, column1) = (x0 / tile, (x1 - 1) / tile);
-    let (row0, row1) = (y0 / tile, (y1 - 1) / tile);
-    let key = (u64::from(record.z.to_bits()) << 32) | u64::from(index);
-    let single = column0 == column1 && row0 == row1;
     for row in row0..=row1 {
         for column in column0..=column1 {
-            if single || reaches(record, column * tile, row * tile, tile) {
+            if reaches(record, column * tile, row * tile, tile) {
                 entries.push(((row * grid.columns + column) as u32, key));
             }
         }
@@ -298,16 +312,14 @@ struct Block {
     quat: [[f32; LANES]; 4],
     scale: [[f32; LANES]; 3],
     opacity: [f32; LANES],
+    /// Plain colours; zeros for harmonics.
+    rgb: [[f32; LANES]; 3],
 }
 
 impl Block {
     fn new() -> Self {
-        Self {
-            mean: [[0.0; LANES]; 3],
-            quat: [[0.0; LANES]; 4],
-            scale: [[0.0; LANES]; 3],
-            opacity: [0.0; LANES],
-        }
+        let three = [[0.0; LANES]; 3];
+        Self { mean: three, quat: [[0.0; LANES]; 4], scale: three, opacity: [0.0; LANES], rgb: three }
     }
 
     #[inline(always)]
@@ -316,6 +328,9 @@ impl Block {
         transpose(&mut self.quat, &gaussians.quats[4 * first..4 * (first + count)]);
         transpose(&mut self.scale, &gaussians.scales[3 * first..3 * (first + count)]);
         self.opacity[..count].copy_from_slice(&gaussians.opacities[first..first + count]);
+        if let Colour::Rgb(rgb) = &gaussians.colour {
+            transpose(&mut self.rgb, &rgb[3 * first..3 * (first + count)]);
+        }
     }
 }
 
@@ -346,8 +361,8 @@ struct BlockOut {
     qc: [f32; LANES],
     opacity: [f32; LANES],
     power_min: [f32; LANES],
-    half_x: [f32; LANES],
-    half_y: [f32; LANES],
+    /// First and last tile column, first and last tile row.
+    tiles: [[u32; LANES]; 4],
     valid: [u32; LANES],
     visible: [u32; LANES],
 }
@@ -364,8 +379,7 @@ impl BlockOut {
             qc: z,
             opacity: z,
             power_min: z,
-            half_x: z,
-            half_y: z,
+            tiles: [[0; LANES]; 4],
             valid: [0; LANES],
             visible: [0; LANES],
         }
@@ -430,7 +444,7 @@ fn log2_upper(x: f32) -> f32 {
 
 /// Sections 3 to 5 of the reference for sixteen Gaussians, without branches.
 #[inline(always)]
-fn project_lanes(block: &Block, view: &View, config: &RasterConfig, out: &mut BlockOut) {
+fn project_lanes(block: &Block, view: &View, config: &RasterConfig, tile: f32, out: &mut BlockOut) {
     let View {
         fx,
         fy,
@@ -444,13 +458,15 @@ fn project_lanes(block: &Block, view: &View, config: &RasterConfig, out: &mut Bl
     let (width, height) = (view.width as f32, view.height as f32);
     let antialiased = config.mode == Mode::Antialiased;
     let floor2 = config.min_compensation * config.min_compensation;
+    let inv_tile = 1.0 / tile;
     for l in 0..LANES {
         let m = [block.mean[0][l], block.mean[1][l], block.mean[2][l]];
         let q = [block.quat[0][l], block.quat[1][l], block.quat[2][l], block.quat[3][l]];
         let s = [block.scale[0][l], block.scale[1][l], block.scale[2][l]];
         let o = block.opacity[l];
         let norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
-        let zero = (m[0] + m[1] + m[2] + s[0] + s[1] + s[2] + o + norm2) * 0.0;
+        let rgb = block.rgb[0][l] + block.rgb[1][l] + block.rgb[2][l];
+        let zero = m[0] * 0.0 + m[1] * 0.0 + m[2] * 0.0 + (s[0] + s[1] + s[2] + o + norm2) * 0.0 + rgb * 0.0;
         let valid = (zero == 0.0) & (norm2 > 1e-20) & (s[0] >= 0.0) & (s[1] >= 0.0) & (s[2] >= 0.0) & (o >= 0.0);
 
         let x = r[0] * m[0] + r[1] * m[1] + r[2] * m[2] + t[0];
@@ -494,7 +510,13 @@ fn project_lanes(block: &Block, view: &View, config: &RasterConfig, out: &mut Bl
         let reach = 2.0 / LOG2_E * (level + REACH_SLACK);
         let half_x = (reach * cov_a).sqrt() * 1.0001 + 0.002;
         let half_y = (reach * cov_c).sqrt() * 1.0001 + 0.002;
-        let inside = (px + half_x > 0.0) & (px - half_x < width) & (py + half_y > 0.0) & (py - half_y < height);
+        // Pixel j is reached when |j + 0.5 - x| <= h; bounds are clamped to the image and cut to whole pixels.
+        let x0 = (px - half_x - 0.5).ceil().max(0.0);
+        let x1 = (px + half_x - 0.5).floor().min(width - 1.0);
+        let y0 = (py - half_y - 0.5).ceil().max(0.0);
+        let y1 = (py + half_y - 0.5).floor().min(height - 1.0);
+        let inside = (x0 <= x1) & (y0 <= y1);
+        let safe = |v: f32| if inside { v * inv_tile } else { 0.0 };
 
         out.x[l] = px;
         out.y[l] = py;
@@ -504,8 +526,10 @@ fn project_lanes(block: &Block, view: &View, config: &RasterConfig, out: &mut Bl
         out.qc[l] = -0.5 * LOG2_E * cov_a * inv_det;
         out.opacity[l] = opacity;
         out.power_min[l] = -(level + REACH_SLACK);
-        out.half_x[l] = half_x;
-        out.half_y[l] = half_y;
+        for (k, bound) in [x0, x1, y0, y1].into_iter().enumerate() {
+            // Bounds lie in the image where they are used and are 0 elsewhere.
+            out.tiles[k][l] = safe(bound) as i32 as u32;
+        }
         // Finite inputs that overflow on the way count as invalid too, unless they are out of sight anyway.
         out.valid[l] = u32::from(valid & (positive | !in_range | !enough));
         out.visible[l] = u32::from(in_range & positive & enough & inside);

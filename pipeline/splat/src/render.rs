@@ -153,7 +153,7 @@ impl Work<'_> {
             };
             let common = (
                 list as &TileList,
-                projection.records.as_slice(),
+                &projection.records as &[crate::project::Projected],
                 config.alpha_max,
                 eligible,
             );

@@ -10,7 +10,7 @@ use pulp::{Simd, WithSimd};
 use crate::camera::{ALPHA_CUT, STOP};
 use crate::order::TileList;
 use crate::project::{Projected, REACH_SHRINK};
-use crate::simd::{LANES, Lanes, bits, exp2, load, store};
+use crate::simd::{LANES, Lanes, bits, exp2, load, prefetch, store};
 
 /// Gaussians of a batch.
 pub(crate) const BATCH: usize = 64;
@@ -53,6 +53,10 @@ impl Batch {
     #[inline(always)]
     pub(crate) fn fill(&mut self, list: &TileList, records: &[Projected], first: usize, extra: &Extra<'_>) {
         self.count = BATCH.min(list.len() - first);
+        let next = first + self.count;
+        for place in next..(next + BATCH).min(list.len()) {
+            prefetch(&records[list.records[list.slot(place)] as usize]);
+        }
         for place in 0..self.count {
             let g = &records[list.records[list.slot(first + place)] as usize];
             let (group, lane) = (place / LANES, place % LANES);
@@ -192,8 +196,8 @@ impl TileArea {
 pub(crate) struct BlockState {
     /// Transmittance behind everything composited so far.
     pub(crate) transmittance: Lanes,
-    /// 1 while the pixel is unfinished.
-    live: Lanes,
+    /// The same while the pixel is unfinished, 0 afterwards.
+    open: Lanes,
     /// Weighted sums: red, green, blue, z, extra channels.
     pub(crate) sums: [Lanes; 4 + EXTRA],
     /// Sum of the weights.
@@ -323,7 +327,7 @@ impl Walk<'_> {
         let stop = simd.splat_f32s(STOP);
         let alpha_max = simd.splat_f32s(alpha_max);
         let mut transmittance = load::<S>(&state.transmittance);
-        let mut live = simd.greater_than_f32s(load::<S>(&state.live), zero);
+        let mut open = load::<S>(&state.open);
         let mut sums: [S::f32s; 4 + EXTRA] = [zero; 4 + EXTRA];
         for k in 0..4 + X {
             sums[k] = load::<S>(&state.sums[k]);
@@ -356,37 +360,40 @@ impl Walk<'_> {
                 simd.greater_than_or_equal_f32s(alpha, cut),
                 simd.less_than_or_equal_f32s(power, zero),
             );
-            let touched = simd.and_m32s(touched, live);
-            let weight = simd.mul_f32s(alpha, transmittance);
-            let behind = simd.sub_f32s(transmittance, weight);
-            let added = simd.and_m32s(touched, simd.greater_than_f32s(behind, stop));
-            // Pixels that were touched and not added are finished.
-            live = simd.xor_m32s(live, simd.xor_m32s(touched, added));
-            let weight = simd.select_f32s(added, weight, zero);
-            transmittance = simd.select_f32s(added, behind, transmittance);
+            // Where the Gaussian does not touch, alpha 0 leaves everything as it is; where the pixel is finished,
+            // `open` is 0 and stays 0.
+            let alpha = simd.select_f32s(touched, alpha, zero);
+            let weight = simd.mul_f32s(alpha, open);
+            let behind = simd.negate_mul_add_f32s(alpha, open, open);
+            let going = simd.greater_than_f32s(behind, stop);
+            let weight = simd.select_f32s(going, weight, zero);
+            transmittance = simd.select_f32s(going, behind, transmittance);
+            open = simd.select_f32s(going, behind, zero);
             opacity = simd.add_f32s(opacity, weight);
             for k in 0..4 + X {
                 sums[k] = simd.mul_add_f32s(weight, simd.splat_f32s(values[1 + k]), sums[k]);
             }
             if TRACE {
+                let added = simd.greater_than_f32s(weight, zero);
                 end = simd.select_u32s(added, simd.splat_u32s((self.first + place + 1) as u32), end);
                 let more = simd.add_u32s(contributors, simd.splat_u32s(1));
                 contributors = simd.select_u32s(added, more, contributors);
             }
             if CONTRIBUTE && self.eligible >> place & 1 != 0 {
-                self.record(bits(simd, added), store::<S>(weight), place, recorded);
+                let added = bits(simd, simd.greater_than_f32s(weight, zero));
+                self.record(added, store::<S>(weight), place, recorded);
             }
         }
 
         state.transmittance = store::<S>(transmittance);
-        state.live = store::<S>(simd.select_f32s(live, simd.splat_f32s(1.0), zero));
+        state.open = store::<S>(open);
         for k in 0..4 + X {
             state.sums[k] = store::<S>(sums[k]);
         }
         state.opacity = store::<S>(opacity);
         state.end = bytemuck::cast(end);
         state.contributors = bytemuck::cast(contributors);
-        bits(simd, live) != 0
+        bits(simd, simd.greater_than_f32s(open, zero)) != 0
     }
 
     #[inline(always)]
@@ -417,7 +424,7 @@ impl BlockState {
     pub(crate) fn new(inside: Lanes) -> Self {
         Self {
             transmittance: Lanes([1.0; LANES]),
-            live: inside,
+            open: inside,
             sums: [Lanes::ZERO; 4 + EXTRA],
             opacity: Lanes::ZERO,
             end: [0; LANES],
