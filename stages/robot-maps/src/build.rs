@@ -1,0 +1,229 @@
+//! From a clip and a robot to robot maps.
+
+use std::path::Path;
+
+use rayon::prelude::*;
+use rogs_geometry::raster::Renderer;
+use rogs_geometry::{Base, Camera, JointState, Link, MeshScene, Pinhole, Pose, RenderOptions, RobotModel};
+use rogs_schemas::records::clip::{CameraMount, Clip, ClipCamera};
+use rogs_schemas::records::robot::{RobotMap, RobotMaps};
+use rogs_worker::{StageError, StageResult};
+
+use crate::params::Params;
+use crate::support::valid_support;
+
+/// A robot with its meshes, read once for many clips.
+#[derive(Debug)]
+pub struct Robot {
+    model: RobotModel,
+    scene: MeshScene,
+    tool_link: usize,
+}
+
+impl Robot {
+    /// Reads a URDF and the meshes that the parameters select.
+    ///
+    /// # Errors
+    /// When the robot cannot be read, or a link or joint of the parameters does not exist.
+    pub fn load(urdf: &Path, params: &Params) -> StageResult<Self> {
+        let spec = &params.robot;
+        let of_params = |error: rogs_geometry::Error| {
+            StageError::bad_params(format!("{} (robot parameters, `{}`)", error.chain(), urdf.display()))
+                .with_hint("name the robot's links and joints under [params.robot-maps.robot] of the manifest")
+        };
+        let model = RobotModel::load(urdf)
+            .map_err(bad_input)?
+            .with_base_link(&spec.base_link)
+            .map_err(of_params)?;
+        let tool_link = model.link_id(&spec.tool_link).map_err(of_params)?;
+        if !spec.gripper_joint.is_empty() {
+            model.joint_index(&spec.gripper_joint).map_err(of_params)?;
+        }
+        let scene = MeshScene::of_robot(&model, spec).map_err(bad_input)?;
+        Ok(Self {
+            model,
+            scene,
+            tool_link,
+        })
+    }
+
+    /// The kinematic model.
+    #[must_use]
+    pub fn model(&self) -> &RobotModel {
+        &self.model
+    }
+
+    /// The anchor meshes.
+    #[must_use]
+    pub fn scene(&self) -> &MeshScene {
+        &self.scene
+    }
+}
+
+/// Makes the robot maps of a clip; warnings go to `warn`.
+///
+/// # Errors
+/// When joints, poses or cameras of the clip do not fit the robot.
+pub fn build(clip: &Clip, robot: &Robot, params: &Params, mut warn: impl FnMut(String)) -> StageResult<RobotMaps> {
+    let states = joint_states(clip, robot, params)?;
+    for warning in limit_warnings(&robot.model, &states) {
+        warn(warning);
+    }
+    let base_from_link: Vec<Vec<Pose<Base, Link>>> = states.iter().map(|state| robot.model.fk(state)).collect();
+    let mut base_from_camera = Vec::new();
+    for camera in &clip.cameras {
+        base_from_camera.push(camera_poses(camera, &robot.model, &base_from_link)?);
+    }
+    let source_cameras = clip.source_cameras();
+    let first_camera = *source_cameras
+        .first()
+        .ok_or_else(|| StageError::bad_input("the clip has no source camera"))?;
+    let first_frame = *clip
+        .source_frames
+        .first()
+        .ok_or_else(|| StageError::bad_input("the clip has no source frame"))?;
+    let first_pose = base_from_camera[first_camera as usize].get(first_frame as usize);
+    let first_pose =
+        first_pose.ok_or_else(|| StageError::bad_input(format!("source frame {first_frame} is not in the clip")))?;
+    let tool_offset = params.robot.tool_offset_m.into();
+    let tool = base_from_link
+        .iter()
+        .flat_map(|links| links[robot.tool_link].point(tool_offset).to_array());
+    Ok(RobotMaps {
+        clip_id: clip.clip_id.clone(),
+        link_names: robot.model.link_names(),
+        base_from_link: base_from_link.iter().flatten().map(Pose::to_rigid).collect(),
+        base_from_camera: base_from_camera.iter().flatten().map(Pose::to_rigid).collect(),
+        recon_from_base: first_pose.inverse().to_rigid(),
+        tool_m: tool.collect(),
+        height: clip.height,
+        width: clip.width,
+        maps: draw(clip, robot, params, &source_cameras, &base_from_camera, &base_from_link)?,
+    })
+}
+
+fn joint_states(clip: &Clip, robot: &Robot, params: &Params) -> StageResult<Vec<JointState>> {
+    let joints = clip.robot.joint_names.len();
+    let state = |frame: usize| {
+        let positions = &clip.robot.positions[frame * joints..(frame + 1) * joints];
+        let state = robot.model.robot_state(
+            &params.robot,
+            &clip.robot.joint_names,
+            positions,
+            clip.robot.gripper[frame],
+        );
+        state.map_err(|error| {
+            StageError::bad_input(format!("clip `{}`, frame {frame}: {}", clip.clip_id, error.chain()))
+        })
+    };
+    (0..clip.frame_count()).map(state).collect()
+}
+
+/// One warning for each joint that leaves its limits, with the number of frames.
+fn limit_warnings(model: &RobotModel, states: &[JointState]) -> Vec<String> {
+    let excesses: Vec<_> = states.iter().flat_map(|state| model.limit_excesses(state)).collect();
+    let warning = |joint: usize| {
+        let of_joint: Vec<_> = excesses.iter().filter(|excess| excess.joint == joint).collect();
+        let [lower, upper] = of_joint.first()?.limits;
+        let beyond = |value: f64| (lower - value).max(value - upper);
+        let worst = of_joint
+            .iter()
+            .map(|excess| excess.value)
+            .max_by(|a, b| beyond(*a).total_cmp(&beyond(*b)))?;
+        let degrees = if worst.abs() > 7.0 {
+            "; are the values degrees instead of radians?"
+        } else {
+            ""
+        };
+        Some(format!(
+            "joint `{}` leaves its limits [{lower}, {upper}] in {} of {} frames (worst value {worst:.4}){degrees}",
+            model.joints[joint].name,
+            of_joint.len(),
+            states.len(),
+        ))
+    };
+    (0..model.joints.len()).filter_map(warning).collect()
+}
+
+/// The pose of a camera at every frame.
+fn camera_poses(
+    camera: &ClipCamera,
+    model: &RobotModel,
+    base_from_link: &[Vec<Pose<Base, Link>>],
+) -> StageResult<Vec<Pose<Base, Camera>>> {
+    let frames = base_from_link.len();
+    let wrong =
+        |error: rogs_geometry::Error| StageError::bad_input(format!("camera `{}`: {}", camera.id, error.chain()));
+    match &camera.mount {
+        CameraMount::Fixed { base_from_camera } => Ok(vec![Pose::from_rigid(base_from_camera).map_err(wrong)?; frames]),
+        CameraMount::Trajectory { base_from_camera } => {
+            if base_from_camera.len() != frames {
+                let count = base_from_camera.len();
+                return Err(StageError::bad_input(format!(
+                    "camera `{}` has {count} poses for {frames} frames",
+                    camera.id
+                )));
+            }
+            base_from_camera
+                .iter()
+                .map(|pose| Pose::from_rigid(pose).map_err(wrong))
+                .collect()
+        }
+        CameraMount::HandEye { link, link_from_camera } => {
+            let link = model.link_id(link).map_err(wrong)?;
+            let link_from_camera: Pose<Link, Camera> = Pose::from_rigid(link_from_camera).map_err(wrong)?;
+            Ok(base_from_link
+                .iter()
+                .map(|links| links[link] * link_from_camera)
+                .collect())
+        }
+    }
+}
+
+/// Rasterises every source camera at every frame, camera-major.
+fn draw(
+    clip: &Clip,
+    robot: &Robot,
+    params: &Params,
+    source_cameras: &[u32],
+    base_from_camera: &[Vec<Pose<Base, Camera>>],
+    base_from_link: &[Vec<Pose<Base, Link>>],
+) -> StageResult<Vec<RobotMap>> {
+    let views: Vec<(u32, usize)> = source_cameras
+        .iter()
+        .flat_map(|&camera| (0..clip.frame_count()).map(move |frame| (camera, frame)))
+        .collect();
+    let draw_view = |renderer: &mut Renderer<'_>, &(camera, frame): &(u32, usize)| {
+        let intrinsics = clip.cameras[camera as usize].intrinsics;
+        let pinhole = Pinhole {
+            intrinsics,
+            width: clip.width,
+            height: clip.height,
+        };
+        let camera_from_base = base_from_camera[camera as usize][frame].inverse();
+        let camera_from_link: Vec<Pose<Camera, Link>> = base_from_link[frame]
+            .iter()
+            .map(|&pose| camera_from_base * pose)
+            .collect();
+        // Views are drawn in parallel, each with one thread.
+        let image = renderer
+            .render(&pinhole, &camera_from_link, &RenderOptions::default(), 1)
+            .map_err(bad_input)?;
+        let support = valid_support(&image.depth_m, &image.link, clip.width, clip.height, &params.support);
+        Ok(RobotMap {
+            camera,
+            frame: frame as u32,
+            depth_m: image.depth_m,
+            link: image.link,
+            support,
+        })
+    };
+    views
+        .par_iter()
+        .map_init(|| Renderer::new(&robot.scene), draw_view)
+        .collect()
+}
+
+fn bad_input(error: rogs_geometry::Error) -> StageError {
+    StageError::bad_input(error.chain())
+}

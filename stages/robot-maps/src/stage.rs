@@ -1,0 +1,64 @@
+//! The stage.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use rogs_schemas::protocol::InputDescription;
+use rogs_schemas::record::{Record, SchemaId};
+use rogs_schemas::records::clip::Clip;
+use rogs_schemas::records::robot::RobotMaps;
+use rogs_worker::{Context, Stage, StageError, StageResult};
+
+use crate::build::{Robot, build};
+use crate::params::Params;
+
+/// `robot-maps`: link transforms, camera poses, mesh depth, link ids and support of a clip.
+#[derive(Debug)]
+pub struct RobotMapsStage {
+    params: Params,
+    robot: Robot,
+}
+
+impl Stage for RobotMapsStage {
+    const NAME: &'static str = "robot-maps";
+    const SUMMARY: &'static str = "Draws the robot's mesh into every source camera: depth, link ids, support, poses.";
+    const VERSION: u32 = 1;
+    const OUTPUT: SchemaId = RobotMaps::SCHEMA;
+    type Params = Params;
+
+    fn inputs() -> Vec<InputDescription> {
+        let input = |role: &str, kind: &str| InputDescription {
+            role: role.into(),
+            required: true,
+            kind: kind.into(),
+        };
+        vec![input("clip", Clip::SCHEMA.name), input("robot-model", "file")]
+    }
+
+    fn load(params: &Params, inputs: &BTreeMap<String, PathBuf>) -> StageResult<Self> {
+        if let Some(problem) = params.support.problem() {
+            return Err(StageError::bad_params(problem));
+        }
+        let missing = || StageError::bad_params("the job names no input `robot-model`");
+        let urdf = inputs.get("robot-model").ok_or_else(missing)?;
+        Ok(Self {
+            params: params.clone(),
+            robot: Robot::load(urdf, params)?,
+        })
+    }
+
+    fn run(&mut self, context: &mut Context<'_>) -> StageResult<()> {
+        let clip: Clip = context.timed("read", |context| context.read("clip"))?;
+        let mut warnings = Vec::new();
+        let maps = context.timed("draw", |_| {
+            build(&clip, &self.robot, &self.params, |warning| warnings.push(warning))
+        })?;
+        for warning in warnings {
+            context.warn(warning);
+        }
+        if maps.maps.iter().all(|map| map.support.iter().all(|&value| value == 0)) {
+            context.warn("no source image shows any robot: check the calibration and the robot model");
+        }
+        context.write(&maps)
+    }
+}
