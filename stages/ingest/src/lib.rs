@@ -1,1 +1,117 @@
 //! Ingest: episode folder of any supported layout to clip.
+//!
+//! A layout (own folder, DROID in the Ctrl-World form, LeRobot v2.1 and v3.0) describes and checks an episode without
+//! decoding anything; then the frames of the clip are decoded, resized and written as a
+//! [`Clip`](rogs_schemas::records::clip::Clip). Whatever is wrong with an episode is one error that names file and row.
+//!
+//! [`list_episodes`] finds what a folder holds, [`media_report`] says which videos can be decoded here.
+
+mod assemble;
+mod calibration;
+mod checks;
+mod depth;
+mod images;
+mod layouts;
+mod listing;
+mod media;
+mod npy;
+mod params;
+mod resize;
+mod source;
+mod video;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use rogs_schemas::protocol::InputDescription;
+use rogs_schemas::record::{Record, SchemaId};
+use rogs_schemas::records::clip::Clip;
+use rogs_worker::{Context, Stage, StageResult};
+
+pub use checks::safe_name;
+pub use listing::{EpisodeListing, list_episodes};
+pub use media::{MediaReport, media_report};
+pub use params::{CameraChoice, Fit, LayoutChoice, Params, QueryChoice, QueryPlanName, StateColumns};
+
+/// The stage.
+pub struct Ingest {
+    params: Params,
+}
+
+impl Stage for Ingest {
+    const NAME: &'static str = "ingest";
+    const SUMMARY: &'static str = "Reads an episode folder of any supported layout and writes one clip of it.";
+    const VERSION: u32 = 1;
+    const OUTPUT: SchemaId = Clip::SCHEMA;
+    type Params = Params;
+
+    fn inputs() -> Vec<InputDescription> {
+        let input = |role: &str, required, kind: &str| InputDescription { role: role.into(), required, kind: kind.into() };
+        vec![input("episode", true, "folder"), input("calibration", false, "file")]
+    }
+
+    fn load(params: &Params, _inputs: &BTreeMap<String, PathBuf>) -> StageResult<Self> {
+        params.check()?;
+        Ok(Self { params: params.clone() })
+    }
+
+    fn run(&mut self, context: &mut Context<'_>) -> StageResult<()> {
+        context.progress(0.0, "reading the episode");
+        let root = context.input("episode")?.to_owned();
+        let calibration = context.optional_input("calibration").map(Path::to_owned);
+        let clip_id = context.clip_id().to_owned();
+        let params = &self.params;
+        let (clip, warnings) = context.timed("read", |_| read_clip(&root, calibration.as_deref(), params, &clip_id))?;
+        warnings.into_iter().for_each(|warning| context.warn(warning));
+        context.progress(0.9, "writing the clip");
+        context.timed("write", |context| context.write(&clip))
+    }
+}
+
+/// Reads a clip of an episode; also returns what a person should know.
+///
+/// # Errors
+/// When the parameters or the episode are wrong; the message names file and row.
+pub fn read_clip(
+    root: &Path,
+    calibration: Option<&Path>,
+    params: &Params,
+    clip_id: &str,
+) -> StageResult<(Clip, Vec<String>)> {
+    params.check()?;
+    let source = layouts::open(root, calibration, params)?;
+    assemble::assemble(source, params, clip_id)
+}
+
+/// The face `list ROOT [--json]`; `None` when the arguments ask for something else.
+#[must_use]
+pub fn list_main(arguments: &[std::ffi::OsString]) -> Option<std::process::ExitCode> {
+    use std::process::ExitCode;
+    let (first, rest) = arguments.split_first()?;
+    if first != "list" {
+        return None;
+    }
+    let json = rest.iter().any(|argument| argument == "--json");
+    let roots: Vec<&std::ffi::OsString> = rest.iter().filter(|argument| *argument != "--json").collect();
+    let [root] = roots[..] else {
+        eprintln!("usage: rogs-ingest list ROOT [--json]");
+        return Some(ExitCode::from(2));
+    };
+    Some(match list_episodes(Path::new(root)) {
+        Ok(episodes) if json => {
+            println!("{}", serde_json::json!(episodes));
+            ExitCode::SUCCESS
+        }
+        Ok(episodes) => {
+            for EpisodeListing { episode_id, layout, folder, selector, .. } in episodes {
+                println!("{episode_id}\t{layout}\t{folder}\t{selector}");
+            }
+            ExitCode::SUCCESS
+        }
+        Err(error) => {
+            eprintln!("error: {error}");
+            error.hint.iter().for_each(|hint| eprintln!("hint: {hint}"));
+            ExitCode::FAILURE
+        }
+    })
+}

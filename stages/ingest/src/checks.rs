@@ -1,0 +1,212 @@
+//! Checks of values from outside. Each failure is one sentence with file and row.
+
+use std::path::{Component, Path, PathBuf};
+
+use rogs_geometry::transform::{Base, Camera, Pose};
+use rogs_schemas::{Intrinsics, RigidPose};
+use rogs_worker::{StageError, StageResult};
+
+use crate::source::States;
+
+/// A wrong input, with the file it is in.
+pub(crate) fn wrong(path: &Path, what: impl std::fmt::Display) -> StageError {
+    StageError::bad_input(format!("`{}`: {what}", path.display()))
+}
+
+/// The text of a small file.
+pub(crate) fn read_text(path: &Path, limit: u64) -> StageResult<String> {
+    let length = std::fs::metadata(path).map_err(|error| io_error(path, &error))?.len();
+    if length > limit {
+        return Err(wrong(path, format!("{length} bytes are more than the {limit} that such a file may have")));
+    }
+    std::fs::read_to_string(path).map_err(|error| io_error(path, &error))
+}
+
+/// An error of the operating system about a file.
+pub(crate) fn io_error(path: &Path, error: &std::io::Error) -> StageError {
+    match error.kind() {
+        std::io::ErrorKind::NotFound => wrong(path, "the file is missing"),
+        std::io::ErrorKind::InvalidData => wrong(path, error),
+        _ => StageError::io(format!("reading `{}`: {error}", path.display())),
+    }
+}
+
+/// A path named by a file, below the folder it belongs to.
+pub(crate) fn inside(folder: &Path, relative: &str, named_by: &Path) -> StageResult<PathBuf> {
+    let path = Path::new(relative);
+    let plain = path.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
+    if relative.is_empty() || !plain {
+        return Err(wrong(named_by, format!("the path `{relative}` does not stay inside the folder")));
+    }
+    let joined = folder.join(path);
+    // Links that lead out are refused where the file exists; a missing file is reported by whoever opens it.
+    if let (Ok(real), Ok(root)) = (joined.canonicalize(), folder.canonicalize())
+        && !real.starts_with(&root)
+    {
+        return Err(wrong(named_by, format!("the path `{relative}` leads out of the folder through a link")));
+    }
+    Ok(joined)
+}
+
+/// A rigid pose from a row-major 4x4 matrix; rotations printed with few digits are made orthonormal.
+pub(crate) fn rigid_pose(matrix: &[[f64; 4]; 4], what: &str, path: &Path) -> StageResult<RigidPose> {
+    let flat: Vec<f64> = matrix.iter().flatten().copied().collect();
+    if flat.iter().take(12).all(|&entry| entry == 0.0) {
+        return Err(wrong(path, format!("{what} is all zeros: it was never filled in"))
+            .with_hint("give a calibration file, see docs/calibration-format.md"));
+    }
+    let flat: [f64; 16] = flat.try_into().map_err(|_| wrong(path, format!("{what} is not a 4x4 matrix")))?;
+    let pose: Pose<Base, Camera> =
+        Pose::from_matrix4(&flat).map_err(|error| wrong(path, format!("{what} is not rigid: {error}")))?;
+    plausible(pose, what, path)
+}
+
+/// A rigid pose from `x, y, z` (metres) and the Euler angles of the DROID logs (radians).
+pub(crate) fn euler_pose(values: &[f64; 6], what: &str, path: &Path) -> StageResult<RigidPose> {
+    if values.iter().all(|&value| value == 0.0) {
+        return Err(wrong(path, format!("{what} is all zeros: it was never filled in"))
+            .with_hint("give a calibration file with the camera's pose, see docs/calibration-format.md"));
+    }
+    if let Some(value) = values.iter().find(|value| !value.is_finite()) {
+        return Err(wrong(path, format!("{what} contains {value}")));
+    }
+    let [x, y, z, a, b, c] = *values;
+    plausible(Pose::from_xyz_euler([x, y, z], [a, b, c]), what, path)
+}
+
+fn plausible(pose: Pose<Base, Camera>, what: &str, path: &Path) -> StageResult<RigidPose> {
+    /// No camera of a table-top robot is further away, metres.
+    const FAR: f64 = 20.0;
+    let distance = pose.translation.length();
+    if distance > FAR {
+        return Err(wrong(path, format!("{what} has a translation of {distance:.1} m"))
+            .with_hint("translations are metres; were these millimetres?"));
+    }
+    let exact = pose.rigidity_residual() < 1e-9;
+    Ok(if exact { pose } else { pose.orthonormalized() }.to_rigid())
+}
+
+/// Intrinsics that a camera with images of this size can have.
+pub(crate) fn intrinsics(intrinsics: Intrinsics, size: (u32, u32), what: &str, path: &Path) -> StageResult<Intrinsics> {
+    let Intrinsics { fx, fy, cx, cy } = intrinsics;
+    if ![fx, fy, cx, cy].iter().all(|value| value.is_finite()) {
+        return Err(wrong(path, format!("the intrinsics of {what} are not finite: fx {fx} fy {fy} cx {cx} cy {cy}")));
+    }
+    if fx <= 0.0 || fy <= 0.0 {
+        return Err(wrong(path, format!("the focal lengths of {what} are {fx} and {fy}, they must be above 0")));
+    }
+    let (width, height) = (f64::from(size.0), f64::from(size.1));
+    if !(0.0..=width).contains(&cx) || !(0.0..=height).contains(&cy) {
+        let text = format!("the principal point ({cx}, {cy}) of {what} lies outside its {width}x{height} image");
+        return Err(wrong(path, text).with_hint("intrinsics must belong to the recorded image size"));
+    }
+    Ok(intrinsics)
+}
+
+/// Finite joints and a gripper in [0, 1] with a tolerance of 1e-6; `row_name` is what a row is called in the file.
+pub(crate) fn states(states: &States, row_name: &str, path: &Path) -> StageResult<()> {
+    /// No revolute joint turns this far, radians; degrees do.
+    const DEGREES: f64 = 4.0 * std::f64::consts::PI;
+    let joints = states.joint_names.len();
+    if joints == 0 {
+        return Err(wrong(path, "there are no joints"));
+    }
+    for (row, values) in states.positions.chunks_exact(joints).enumerate() {
+        for (name, &value) in states.joint_names.iter().zip(values) {
+            if !value.is_finite() {
+                return Err(wrong(path, format!("joint `{name}` is {value} at {row_name} {row}")));
+            }
+            if value.abs() > DEGREES {
+                let text = format!("joint `{name}` is {value} at {row_name} {row}");
+                return Err(wrong(path, text).with_hint("joint positions are radians; were these degrees?"));
+            }
+        }
+    }
+    for (row, &value) in states.gripper.iter().enumerate() {
+        if !(-1e-6..=1.0 + 1e-6).contains(&value) {
+            let text = format!("the gripper is {value} at {row_name} {row}, it must be in 0 (open) to 1 (closed)");
+            return Err(wrong(path, text));
+        }
+    }
+    Ok(())
+}
+
+/// A name that can be a file name (`[A-Za-z0-9._+-]{1,128}`): every other character becomes `_`.
+#[must_use]
+pub fn safe_name(name: &str) -> String {
+    let safe = |c: char| if c.is_ascii_alphanumeric() || "._+-".contains(c) { c } else { '_' };
+    let mut mapped: String = name.chars().take(128).map(safe).collect();
+    if mapped.is_empty() || mapped == "." || mapped == ".." || mapped.starts_with('-') {
+        mapped.insert(0, '_');
+        mapped.truncate(128);
+    }
+    mapped
+}
+
+/// An episode id from a file: not empty, not absurdly long, no control characters.
+pub(crate) fn episode_id(id: &str, path: &Path) -> StageResult<String> {
+    if id.is_empty() || id.len() > 128 || id.chars().any(char::is_control) {
+        return Err(wrong(path, format!("the episode id {id:?} must have 1 to 128 bytes and no control characters")));
+    }
+    Ok(id.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_become_safe() {
+        assert_eq!(safe_name("LAB+a1+2026-01-31-12h:00m"), "LAB+a1+2026-01-31-12h_00m");
+        assert_eq!(safe_name("../x"), ".._x");
+        assert_eq!(safe_name(".."), "_..");
+        assert_eq!(safe_name("-rf"), "_-rf");
+        assert_eq!(safe_name(""), "_");
+        assert_eq!(safe_name(&"ä".repeat(300)).len(), 128);
+    }
+
+    #[test]
+    fn poses_that_are_not_rigid_are_refused() {
+        let path = Path::new("episode.json");
+        let turned = [[0.0, -1.0, 0.0, 0.1], [1.0, 0.0, 0.0, 0.2], [0.0, 0.0, 1.0, 0.3], [0.0, 0.0, 0.0, 1.0]];
+        assert_eq!(rigid_pose(&turned, "pose", path).unwrap().translation, [0.1, 0.2, 0.3]);
+        let change = |row: usize, column: usize, value: f64| {
+            let mut matrix = turned;
+            matrix[row][column] = value;
+            rigid_pose(&matrix, "pose of `ext1`", path).unwrap_err().message
+        };
+        assert!(change(2, 2, -1.0).contains("reflection"));
+        assert!(change(2, 2, 1.1).contains("not rigid"));
+        assert!(change(3, 0, 0.1).contains("last row"));
+        assert!(change(0, 3, f64::NAN).contains("not finite"));
+        assert!(change(0, 3, 450.0).contains("450.0 m"));
+        assert!(rigid_pose(&[[0.0; 4]; 4], "pose", path).unwrap_err().message.contains("all zeros"));
+        assert!(euler_pose(&[0.0; 6], "pose", path).unwrap_err().message.contains("all zeros"));
+    }
+
+    #[test]
+    fn states_name_the_row() {
+        let good = States { joint_names: vec!["a".into(), "b".into()], positions: vec![0.0; 6], gripper: vec![0.0, 1.0, 0.5] };
+        let path = Path::new("joints.csv");
+        assert!(states(&good, "row", path).is_ok());
+        let mut bad = good.clone();
+        bad.positions[3] = f64::NAN;
+        assert_eq!(states(&bad, "row", path).unwrap_err().message, "`joints.csv`: joint `b` is NaN at row 1");
+        let mut bad = good.clone();
+        bad.positions[4] = 90.0;
+        assert!(states(&bad, "row", path).unwrap_err().hint.unwrap().contains("degrees"));
+        let mut bad = good;
+        bad.gripper[2] = 1.00001;
+        assert!(states(&bad, "row", path).unwrap_err().message.contains("gripper is 1.00001 at row 2"));
+    }
+
+    #[test]
+    fn paths_stay_inside() {
+        let folder = Path::new("/data");
+        let by = Path::new("episode.json");
+        assert_eq!(inside(folder, "a/b.png", by).unwrap(), Path::new("/data/a/b.png"));
+        for path in ["../x", "/etc/passwd", "a/../../x", ""] {
+            assert!(inside(folder, path, by).is_err(), "{path}");
+        }
+    }
+}

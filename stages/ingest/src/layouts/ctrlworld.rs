@@ -1,0 +1,284 @@
+//! DROID episodes as Ctrl-World keeps them (`datasets.md` section 4): `annotation/[SPLIT/]ID.json` and
+//! `videos/[SPLIT/]ID/{0,1,2}.mp4`, every third frame of the 15 Hz recording; and the rig of its authors, whose states
+//! are already at the rate of the video.
+
+use std::path::{Path, PathBuf};
+
+use rogs_schemas::records::clip::CameraRole;
+use rogs_worker::{StageError, StageResult};
+use serde::Deserialize;
+
+use super::calibration_names;
+use crate::calibration::Calibration;
+use crate::checks::{self, inside, read_text, wrong};
+use crate::images::FrameSource;
+use crate::source::{Source, SourceCamera, States};
+use crate::video;
+
+/// Longest annotation, bytes.
+const MAX_JSON: u64 = 64 << 20;
+/// Raw states per video frame.
+const RAW_STEP: usize = 3;
+/// Frames per second of the raw states.
+const RAW_FPS: f64 = 15.0;
+/// Clip cameras in the order of a clip, with the index of their video.
+const CAMERAS: [(&str, usize); 3] = [("wrist", 2), ("ext1", 0), ("ext2", 1)];
+
+#[derive(Deserialize)]
+struct Annotation {
+    #[serde(default)]
+    texts: Vec<String>,
+    episode_id: Id,
+    video_length: u32,
+    #[serde(default)]
+    raw_length: Option<u32>,
+    videos: Vec<VideoPath>,
+    /// 7 joints and gripper per video frame.
+    #[serde(default)]
+    joints: Option<Vec<Vec<f64>>>,
+    #[serde(default, rename = "observation.state.joint_position")]
+    raw_joints: Option<Vec<Vec<f64>>>,
+    #[serde(default, rename = "observation.state.gripper_position")]
+    raw_gripper: Option<Vec<f64>>,
+}
+
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Id {
+    Number(u64),
+    Text(String),
+}
+
+#[derive(Deserialize)]
+struct VideoPath {
+    video_path: String,
+}
+
+/// Selectors of all episodes below a root: the annotation's path without `annotation/` and `.json`.
+pub(crate) fn selectors(root: &Path) -> StageResult<Vec<String>> {
+    let mut found = Vec::new();
+    let folder = root.join("annotation");
+    for (prefix, folder) in std::iter::once((String::new(), folder.clone())).chain(subfolders(&folder)?) {
+        for name in file_names(&folder)? {
+            if let Some(stem) = name.strip_suffix(".json") {
+                found.push(format!("{prefix}{stem}"));
+            }
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
+fn subfolders(folder: &Path) -> StageResult<Vec<(String, PathBuf)>> {
+    let names = file_names(folder)?;
+    Ok(names.into_iter().map(|name| (format!("{name}/"), folder.join(name))).filter(|(_, path)| path.is_dir()).collect())
+}
+
+fn file_names(folder: &Path) -> StageResult<Vec<String>> {
+    let entries = std::fs::read_dir(folder).map_err(|error| checks::io_error(folder, &error))?;
+    let mut names: Vec<String> = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok()).collect();
+    names.sort();
+    Ok(names)
+}
+
+/// The files of an episode: annotation, videos, and a calibration beside them where there is one. Relative to the root.
+pub(crate) fn files(root: &Path, selector: &str) -> StageResult<(String, Vec<String>)> {
+    let annotation_name = format!("annotation/{selector}.json");
+    let (path, annotation) = read_annotation(root, &annotation_name)?;
+    let mut files = vec![annotation_name];
+    for index in 0..annotation.videos.len() {
+        files.push(video_file(root, &path, &annotation, selector, index)?);
+    }
+    if let Some(name) = calibration_beside(root, selector) {
+        files.push(name);
+    }
+    Ok((annotation.episode_id.text(), files))
+}
+
+/// Opens an episode.
+pub(crate) fn open(root: &Path, calibration: Option<Calibration>, selector: &str) -> StageResult<Source> {
+    let selector = resolve_selector(root, selector)?;
+    let (path, annotation) = read_annotation(root, &format!("annotation/{selector}.json"))?;
+    let calibration = match (calibration, calibration_beside(root, &selector)) {
+        (Some(given), _) => given,
+        (None, Some(beside)) => Calibration::read(&root.join(beside))?,
+        (None, None) => {
+            return Err(wrong(&path, "this layout has no camera calibration").with_hint(format!(
+                "give a calibration file (docs/calibration-format.md), or put it beside as `{}`",
+                calibration_name(&selector)
+            )));
+        }
+    };
+    let episode_id = checks::episode_id(&annotation.episode_id.text(), &path)?;
+    let mut warnings = Vec::new();
+    let states = states(&annotation, &path)?;
+    let frame_count = annotation.video_length;
+    let mut cameras = Vec::new();
+    let mut fps: Option<f64> = None;
+    for (id, index) in CAMERAS {
+        if index >= annotation.videos.len() {
+            return Err(wrong(&path, format!("it names {} videos, camera `{id}` is number {index}", annotation.videos.len())));
+        }
+        let file = root.join(video_file(root, &path, &annotation, &selector, index)?);
+        let info = video::probe(&file)?;
+        // The authors' rig writes one video frame more than states now and then; the last one is not used then.
+        let surplus = annotation.raw_length.is_none() && info.frames == u64::from(frame_count) + 1;
+        if surplus {
+            warnings.push(format!("`{}` has one frame more than states; it is not used", file.display()));
+        } else if info.frames != u64::from(frame_count) {
+            return Err(wrong(&file, format!("it has {} frames, the annotation {frame_count}", info.frames)));
+        }
+        if *fps.get_or_insert(info.fps) != info.fps {
+            warnings.push(format!("`{}` runs at {} frames per second, another video at {fps:?}", file.display(), info.fps));
+        }
+        let size = (info.width, info.height);
+        let names = calibration_names(id, &format!("{index}"));
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        let missing = || {
+            let text = format!("the calibration has no camera `{id}` (it has {})", calibration.cameras().join(", "));
+            wrong(&path, text).with_hint("docs/calibration-format.md says what an entry looks like")
+        };
+        let calibrated = calibration.camera(&names, size)?.ok_or_else(missing)?;
+        let mount = calibrated.mount.ok_or_else(|| wrong(&path, format!("the calibration gives no pose of camera `{id}`")))?;
+        cameras.push(SourceCamera {
+            id: id.to_owned(),
+            role: CameraRole::Source,
+            partner: None,
+            width: info.width,
+            height: info.height,
+            intrinsics: calibrated.intrinsics,
+            pixel_shift: 0.5,
+            mount,
+            images: Some(FrameSource::Video { path: file, info, first: 0 }),
+            depth: None,
+        });
+    }
+    // DROID copies hold every third frame of 15 Hz; the rig of the authors has the rate of its video header.
+    let fps = match (annotation.raw_length, fps) {
+        (Some(_), _) => RAW_FPS / RAW_STEP as f64,
+        (None, Some(fps)) if fps > 0.0 => fps,
+        (None, _) => return Err(wrong(&path, "the videos do not say their frames per second")),
+    };
+    Ok(Source {
+        episode_id,
+        layout: "droid-ctrlworld",
+        task: annotation.texts.into_iter().next().unwrap_or_default(),
+        calibration_note: calibration.note(),
+        fps,
+        frame_count,
+        cameras,
+        states,
+        tracks: None,
+        cameras_chosen: false,
+        warnings,
+    })
+}
+
+fn resolve_selector(root: &Path, selector: &str) -> StageResult<String> {
+    let all = selectors(root)?;
+    if selector.is_empty() {
+        return match &all[..] {
+            [only] => Ok(only.clone()),
+            _ => Err(StageError::bad_params(format!("`{}` holds {} episodes: say which", root.display(), all.len()))
+                .with_hint("set `episode` to a selector that `rogs-ingest list` prints")),
+        };
+    }
+    let named = |candidate: &&String| *candidate == selector || candidate.rsplit('/').next() == Some(selector);
+    let matches: Vec<&String> = all.iter().filter(named).collect();
+    match matches[..] {
+        [one] => Ok(one.clone()),
+        [] => Err(StageError::bad_input(format!("`{}` has no episode `{selector}`", root.display()))
+            .with_hint(format!("it has {}", all.iter().take(10).cloned().collect::<Vec<_>>().join(", ")))),
+        _ => Err(StageError::bad_params(format!("`{selector}` names several episodes of `{}`", root.display()))),
+    }
+}
+
+fn read_annotation(root: &Path, name: &str) -> StageResult<(PathBuf, Annotation)> {
+    let path = inside(root, name, root)?;
+    let text = read_text(&path, MAX_JSON)?;
+    // JSON has no NaN, but Python writes it.
+    let annotation = serde_json::from_str(&text).map_err(|error| {
+        let hint = "Python's `NaN` is not JSON: a state that was not measured cannot be used";
+        let error = wrong(&path, format!("not a Ctrl-World annotation: {error}"));
+        if text.contains("NaN") { error.with_hint(hint) } else { error }
+    })?;
+    Ok((path, annotation))
+}
+
+impl Id {
+    fn text(&self) -> String {
+        match self {
+            Self::Number(number) => number.to_string(),
+            Self::Text(text) => text.clone(),
+        }
+    }
+}
+
+/// A video's place: as the annotation says, or below `videos/` under the episode's own selector.
+fn video_file(root: &Path, path: &Path, annotation: &Annotation, selector: &str, index: usize) -> StageResult<String> {
+    let named = &annotation.videos[index].video_path;
+    let own = format!("videos/{selector}/{index}.mp4");
+    for candidate in [named, &own] {
+        if inside(root, candidate, path)?.is_file() {
+            return Ok(candidate.clone());
+        }
+    }
+    Err(wrong(path, format!("video {index} is missing: neither `{named}` nor `{own}` exists in `{}`", root.display())))
+}
+
+fn calibration_name(selector: &str) -> String {
+    format!("calibration_{}.json", selector.replace('/', "_"))
+}
+
+fn calibration_beside(root: &Path, selector: &str) -> Option<String> {
+    let name = calibration_name(selector);
+    root.join(&name).is_file().then_some(name)
+}
+
+/// One state per video frame: as stored, or every third raw one. Where both exist they must agree.
+fn states(annotation: &Annotation, path: &Path) -> StageResult<States> {
+    let frames = annotation.video_length as usize;
+    let raw = match (&annotation.raw_joints, &annotation.raw_gripper) {
+        (Some(joints), Some(gripper)) => Some(decimated(joints, gripper, frames, path)?),
+        _ => None,
+    };
+    let rows = match (&annotation.joints, raw) {
+        (Some(stored), raw) => {
+            if stored.len() != frames {
+                return Err(wrong(path, format!("there are {} rows of `joints` for {frames} video frames", stored.len())));
+            }
+            let differs = |(stored, raw): (&Vec<f64>, &Vec<f64>)| stored.iter().zip(raw).any(|(a, b)| (a - b).abs() > 1e-6);
+            if let Some(row) = raw.and_then(|raw| stored.iter().zip(&raw).position(differs)) {
+                return Err(wrong(path, format!("`joints` row {row} is not raw state {}", RAW_STEP * row)));
+            }
+            stored.clone()
+        }
+        (None, Some(raw)) => raw,
+        (None, None) => return Err(wrong(path, "it has no joint positions")),
+    };
+    let joint_names: Vec<String> = (1..=7).map(|joint| format!("panda_joint{joint}")).collect();
+    let mut states = States { joint_names, positions: Vec::new(), gripper: Vec::new() };
+    for (row, values) in rows.iter().enumerate() {
+        let [joints @ .., gripper] = &values[..] else {
+            return Err(wrong(path, format!("row {row} of the joints is empty")));
+        };
+        if joints.len() != 7 {
+            return Err(wrong(path, format!("row {row} has {} joints, a Panda has 7", joints.len())));
+        }
+        states.positions.extend_from_slice(joints);
+        states.gripper.push(*gripper);
+    }
+    checks::states(&states, "row", path)?;
+    Ok(states)
+}
+
+fn decimated(joints: &[Vec<f64>], gripper: &[f64], frames: usize, path: &Path) -> StageResult<Vec<Vec<f64>>> {
+    if joints.len() != gripper.len() || joints.len().div_ceil(RAW_STEP) != frames {
+        return Err(wrong(
+            path,
+            format!("{} raw joint states and {} gripper states do not make {frames} video frames", joints.len(), gripper.len()),
+        ));
+    }
+    let row = |index: usize| joints[index].iter().copied().chain([gripper[index]]).collect();
+    Ok((0..joints.len()).step_by(RAW_STEP).map(row).collect())
+}

@@ -1,0 +1,277 @@
+//! LeRobot data sets, v2.1 and v3.0 (`datasets.md` section 5): parquet tables and shared or own mp4 files.
+
+use std::path::Path;
+
+use rogs_schemas::records::clip::CameraRole;
+use rogs_worker::{StageError, StageResult};
+
+use super::lerobot_meta::{Dataset, EpisodeMeta, Version};
+use super::parquet_table::Table;
+use super::{calibration_names, clip_camera};
+use crate::calibration::Calibration;
+use crate::checks::{self, inside, wrong};
+use crate::images::FrameSource;
+use crate::params::{Params, StateColumns};
+use crate::source::{Source, SourceCamera, SourceMount, States};
+use crate::video;
+
+/// Opens an episode.
+pub(crate) fn open(root: &Path, calibration: Option<&Calibration>, params: &Params) -> StageResult<Source> {
+    let dataset = Dataset::open(root)?;
+    let episode = dataset.select(&params.episode)?;
+    let frame_count = u32::try_from(episode.length).ok().filter(|&length| length > 0);
+    let frame_count = frame_count
+        .ok_or_else(|| StageError::bad_input(format!("episode {} has {} frames", episode.index, episode.length)))?;
+    let rows = Rows::read(&dataset, episode)?;
+    let states = rows.states(&dataset, &params.states)?;
+    let names = camera_names(&dataset, params)?;
+    let mut cameras = Vec::new();
+    for (id, key) in names {
+        cameras.push(open_camera(&dataset, episode, &rows, calibration, (&id, &key))?);
+    }
+    // Wrist first, then by name; a choice in the parameters keeps its order.
+    if params.cameras.is_empty() {
+        cameras.sort_by_key(|camera| (camera.id != "wrist", camera.id.clone()));
+    }
+    Ok(Source {
+        episode_id: episode.selector(),
+        layout: dataset.version.layout(),
+        task: episode.task.clone(),
+        calibration_note: calibration.map(Calibration::note).unwrap_or_default(),
+        fps: dataset.info.fps,
+        frame_count,
+        cameras,
+        states,
+        tracks: None,
+        cameras_chosen: !params.cameras.is_empty(),
+        warnings: Vec::new(),
+    })
+}
+
+/// Clip camera and video feature of every camera that is wanted.
+fn camera_names(dataset: &Dataset, params: &Params) -> StageResult<Vec<(String, String)>> {
+    let videos = dataset.videos();
+    if videos.is_empty() {
+        return Err(StageError::bad_input(format!("`{}` has no video features", dataset.root.display()))
+            .with_hint("images inside parquet files are not supported; convert the data set to videos"));
+    }
+    if params.cameras.is_empty() {
+        return Ok(videos.into_iter().map(|key| (clip_camera(key), key.to_owned())).collect());
+    }
+    let choose = |choice: &crate::params::CameraChoice| {
+        let fits = |key: &&&str| **key == choice.from || key.rsplit('.').next() == Some(&choice.from);
+        let key = videos.iter().find(fits).ok_or_else(|| {
+            StageError::bad_params(format!("there is no video feature `{}`, there are {}", choice.from, videos.join(", ")))
+        })?;
+        Ok((choice.id.clone(), (*key).to_owned()))
+    };
+    params.cameras.iter().map(choose).collect()
+}
+
+fn open_camera(
+    dataset: &Dataset,
+    episode: &EpisodeMeta,
+    rows: &Rows,
+    calibration: Option<&Calibration>,
+    (id, key): (&str, &str),
+) -> StageResult<SourceCamera> {
+    let info_path = dataset.root.join("meta/info.json");
+    let (file, from) = episode
+        .videos
+        .get(key)
+        .ok_or_else(|| wrong(&info_path, format!("episode {} has no video of `{key}`", episode.index)))?;
+    let path = inside(&dataset.root, file, &info_path)?;
+    let info = video::probe(&path)?;
+    let size = (info.width, info.height);
+    let first = from * dataset.info.fps;
+    if !(first.is_finite() && (0.0..1e12).contains(&first)) {
+        return Err(wrong(&path, format!("episode {} begins at {from} s", episode.index)));
+    }
+    let first = first.round() as u64;
+    let fits = match dataset.version {
+        Version::V21 => info.frames == episode.length,
+        Version::V30 => first + episode.length <= info.frames,
+    };
+    if !fits {
+        let text = format!("it has {} frames, episode {} needs frames {first} to {}", info.frames, episode.index, first + episode.length);
+        return Err(wrong(&path, text));
+    }
+    let feature = key.rsplit('.').next().unwrap_or(key);
+    let names = calibration_names(id, feature);
+    let names: Vec<&str> = names.iter().map(String::as_str).chain([key]).collect();
+    let calibrated = match calibration {
+        Some(calibration) => calibration.camera(&names, size)?,
+        None => None,
+    };
+    let Some(calibrated) = calibrated else {
+        let text = format!("camera `{id}` ({key}) has no intrinsics: LeRobot data sets carry none");
+        return Err(wrong(&info_path, text).with_hint(format!(
+            "give a calibration file with an entry `{id}` for {}x{} images (docs/calibration-format.md)",
+            size.0, size.1
+        )));
+    };
+    let mount = match calibrated.mount {
+        Some(mount) => mount,
+        None => rows.extrinsics(feature)?.ok_or_else(|| {
+            wrong(&info_path, format!("camera `{id}` ({key}) has no pose: neither the calibration nor the data has one"))
+                .with_hint("add `camera_to_base` or `camera_to_link` to its entry in the calibration file")
+        })?,
+    };
+    Ok(SourceCamera {
+        id: id.to_owned(),
+        role: CameraRole::Source,
+        partner: None,
+        width: size.0,
+        height: size.1,
+        intrinsics: calibrated.intrinsics,
+        pixel_shift: 0.5,
+        mount,
+        images: Some(FrameSource::Video { path, info, first }),
+        depth: None,
+    })
+}
+
+/// The rows of one episode in its data file.
+struct Rows {
+    path: std::path::PathBuf,
+    table: Table,
+    /// Row numbers, in frame order.
+    rows: Vec<usize>,
+}
+
+impl Rows {
+    fn read(dataset: &Dataset, episode: &EpisodeMeta) -> StageResult<Self> {
+        let path = inside(&dataset.root, &episode.data, &dataset.root.join("meta/info.json"))?;
+        let wanted = |name: &str| {
+            name.starts_with("observation.state") || name.starts_with("camera_extrinsics") || ["timestamp", "frame_index", "episode_index"].contains(&name)
+        };
+        let table = Table::read(&path, &wanted)?;
+        let indices = table.integers("episode_index")?;
+        let rows: Vec<usize> = (0..table.rows).filter(|&row| indices[row] == episode.index).collect();
+        if rows.len() as u64 != episode.length {
+            return Err(wrong(&path, format!("it has {} rows of episode {}, expected {}", rows.len(), episode.index, episode.length)));
+        }
+        let frames = table.integers("frame_index")?;
+        if let Some(frame) = (0..rows.len()).find(|&frame| frames[rows[frame]] != frame as u64) {
+            return Err(wrong(&path, format!("row {} holds frame {}, expected {frame}", rows[frame], frames[rows[frame]])));
+        }
+        if table.has("timestamp") {
+            let (_, times) = table.numbers("timestamp")?;
+            let off = |&frame: &usize| !((times[rows[frame]] * dataset.info.fps - frame as f64).abs() < 0.5);
+            if let Some(frame) = (0..rows.len()).find(off) {
+                let text = format!("the timestamp {} of frame {frame} does not fit {} frames per second", times[rows[frame]], dataset.info.fps);
+                return Err(wrong(&path, text));
+            }
+        }
+        Ok(Self { path, table, rows })
+    }
+
+    /// Entry `entry` of a column at every frame.
+    fn entry(&self, (column, entry): &(String, usize)) -> StageResult<Vec<f64>> {
+        let (width, values) = self.table.numbers(column)?;
+        if *entry >= width {
+            return Err(wrong(&self.path, format!("column `{column}` has {width} entries, number {entry} is needed")));
+        }
+        Ok(self.rows.iter().map(|row| values[row * width + entry]).collect())
+    }
+
+    fn states(&self, dataset: &Dataset, choice: &StateColumns) -> StageResult<States> {
+        let (joints, gripper) = state_entries(dataset, choice, &self.path)?;
+        let columns: StageResult<Vec<Vec<f64>>> = joints.iter().map(|(_, place)| self.entry(place)).collect();
+        let columns = columns?;
+        let positions = (0..self.rows.len()).flat_map(|row| columns.iter().map(move |column| column[row])).collect();
+        let closed = |value: f64| if choice.invert_gripper { 1.0 - value } else { value };
+        let gripper = self.entry(&gripper)?.into_iter().map(closed).collect();
+        let names: Vec<String> = joints.into_iter().map(|(name, _)| name).collect();
+        let joint_names = urdf_names(names, choice, dataset.info.robot_type.as_deref(), &self.path)?;
+        let states = States { joint_names, positions, gripper };
+        checks::states(&states, "frame", &self.path)?;
+        Ok(states)
+    }
+
+    /// The pose of a camera from `camera_extrinsics.NAME`, where the data has it.
+    fn extrinsics(&self, feature: &str) -> StageResult<Option<SourceMount>> {
+        let column = format!("camera_extrinsics.{feature}");
+        if !self.table.has(&column) {
+            return Ok(None);
+        }
+        let (width, values) = self.table.numbers(&column)?;
+        if width != 6 {
+            return Err(wrong(&self.path, format!("column `{column}` has {width} entries, expected x y z roll pitch yaw")));
+        }
+        let pose = |(frame, row): (usize, &usize)| {
+            let mut six = [0.0; 6];
+            six.copy_from_slice(&values[row * 6..row * 6 + 6]);
+            checks::euler_pose(&six, &format!("`{column}` at frame {frame}"), &self.path)
+        };
+        let poses: StageResult<Vec<_>> = self.rows.iter().enumerate().map(pose).collect();
+        let poses = poses?;
+        let still = poses.windows(2).all(|pair| pair[0] == pair[1]);
+        Ok(match poses.first() {
+            Some(first) if still => Some(SourceMount::Fixed(*first)),
+            _ => Some(SourceMount::Trajectory(poses)),
+        })
+    }
+}
+
+/// Column and entry of a state.
+type Place = (String, usize);
+
+/// Names and places of the joints, and the place of the gripper.
+fn state_entries(dataset: &Dataset, choice: &StateColumns, path: &Path) -> StageResult<(Vec<(String, Place)>, Place)> {
+    let features = &dataset.info.features;
+    let state = features.get("observation.state").map(|feature| feature.entry_names()).unwrap_or_default();
+    let in_state = |name: &str| state.iter().position(|entry| entry == name).map(|entry| ("observation.state".to_owned(), entry));
+    let unknown = |name: &str| {
+        StageError::bad_params(format!("`observation.state` has no entry `{name}`, it has {}", state.join(", ")))
+    };
+    let own_gripper = "observation.state.gripper_position";
+    let gripper = match &choice.gripper {
+        Some(name) => in_state(name).ok_or_else(|| unknown(name))?,
+        None if features.contains_key(own_gripper) => (own_gripper.to_owned(), 0),
+        None => in_state("gripper").or_else(|| in_state("gripper_position")).ok_or_else(|| {
+            wrong(path, "the data names no gripper state").with_hint(format!(
+                "set `states.gripper` to the entry of `observation.state` that is the gripper in 0 to 1; it has {}",
+                state.join(", ")
+            ))
+        })?,
+    };
+    if !choice.joints.is_empty() {
+        let named = |name: &String| in_state(name).map(|place| (name.clone(), place)).ok_or_else(|| unknown(name));
+        let joints: StageResult<Vec<_>> = choice.joints.iter().map(named).collect();
+        return Ok((joints?, gripper));
+    }
+    for column in ["observation.state.joint_position", "observation.state.joint_positions"] {
+        if let Some(feature) = features.get(column) {
+            let names = feature.entry_names();
+            let names = if names.is_empty() { (0..7).map(|joint| format!("joint_{joint}")).collect() } else { names };
+            let joints = names.into_iter().enumerate().map(|(entry, name)| (name, (column.to_owned(), entry)));
+            return Ok((joints.collect(), gripper));
+        }
+    }
+    let joints: Vec<_> = state.iter().filter_map(|name| Some((name.clone(), in_state(name)?))).filter(|(_, place)| *place != gripper).collect();
+    if joints.is_empty() {
+        return Err(wrong(path, "the data names no joint states")
+            .with_hint("set `states.joints` to the entries of `observation.state` that are the arm's joints"));
+    }
+    Ok((joints, gripper))
+}
+
+fn urdf_names(names: Vec<String>, choice: &StateColumns, robot: Option<&str>, path: &Path) -> StageResult<Vec<String>> {
+    if !choice.joint_names.is_empty() {
+        if choice.joint_names.len() != names.len() {
+            let text = format!("`states.joint_names` has {} names for {} joints", choice.joint_names.len(), names.len());
+            return Err(StageError::bad_params(text));
+        }
+        return Ok(choice.joint_names.clone());
+    }
+    let robot = robot.unwrap_or_default().to_ascii_lowercase();
+    let franka = ["franka", "panda", "droid"].iter().any(|name| robot.contains(name));
+    if franka && names.len() == 7 {
+        return Ok((1..=7).map(|joint| format!("panda_joint{joint}")).collect());
+    }
+    if names.len() > 64 {
+        return Err(wrong(path, format!("{} joints are too many", names.len())));
+    }
+    Ok(names)
+}

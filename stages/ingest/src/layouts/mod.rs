@@ -1,0 +1,122 @@
+//! The layouts of episode folders, and telling them apart.
+
+pub(crate) mod ctrlworld;
+pub(crate) mod lerobot;
+mod lerobot_meta;
+mod parquet_table;
+pub(crate) mod rogs_episode;
+
+use std::path::Path;
+
+use rogs_schemas::episode::EPISODE_FILE;
+use rogs_worker::{StageError, StageResult};
+
+use self::lerobot_meta::{Dataset, EpisodeMeta};
+use crate::calibration::Calibration;
+use crate::params::{LayoutChoice, Params};
+use crate::source::Source;
+
+/// A layout that is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Layout {
+    RogsEpisode,
+    DroidCtrlworld,
+    Lerobot,
+}
+
+/// The layout of a folder, told by the files in it.
+pub(crate) fn detect(root: &Path) -> Option<Layout> {
+    if root.join(EPISODE_FILE).is_file() {
+        Some(Layout::RogsEpisode)
+    } else if root.join("meta/info.json").is_file() {
+        Some(Layout::Lerobot)
+    } else if root.join("annotation").is_dir() {
+        Some(Layout::DroidCtrlworld)
+    } else {
+        None
+    }
+}
+
+/// Opens an episode.
+pub(crate) fn open(root: &Path, calibration: Option<&Path>, params: &Params) -> StageResult<Source> {
+    if !root.is_dir() {
+        return Err(StageError::bad_input(format!("the episode folder `{}` is missing", root.display())));
+    }
+    let layout = match params.layout {
+        LayoutChoice::Auto => detect(root).ok_or_else(|| {
+            StageError::bad_input(format!("`{}` is no episode folder of a known layout", root.display())).with_hint(
+                "expected `episode.json` (docs/episode-format.md), `annotation/` and `videos/` (DROID, Ctrl-World), or `meta/info.json` (LeRobot)",
+            )
+        })?,
+        LayoutChoice::RogsEpisode => Layout::RogsEpisode,
+        LayoutChoice::DroidCtrlworld => Layout::DroidCtrlworld,
+        LayoutChoice::Lerobot => Layout::Lerobot,
+    };
+    let calibration = calibration.map(Calibration::read).transpose()?;
+    match layout {
+        Layout::RogsEpisode => rogs_episode::open(root, calibration.as_ref()),
+        Layout::DroidCtrlworld => ctrlworld::open(root, calibration, &params.episode),
+        Layout::Lerobot => lerobot::open(root, calibration.as_ref(), params),
+    }
+}
+
+/// A LeRobot data set as the listing shows it.
+pub(crate) struct LerobotListing {
+    /// Layout, as the clip keeps it.
+    pub(crate) layout: &'static str,
+    /// Selector and files of every episode that has its table.
+    pub(crate) episodes: Vec<(String, Vec<String>)>,
+}
+
+/// Lists a LeRobot data set. Episodes whose table is missing are left out: samples of large sets announce all of them.
+pub(crate) fn lerobot_dataset(root: &Path) -> StageResult<LerobotListing> {
+    let dataset = Dataset::open(root)?;
+    let here = dataset.episodes.iter().filter(|episode| root.join(&episode.data).is_file());
+    let files = |episode: &EpisodeMeta| {
+        let videos = episode.videos.values().map(|(file, _)| file.clone());
+        let mut files: Vec<String> = videos.chain(["meta/info.json".to_owned(), episode.data.clone()]).collect();
+        files.extend(dataset.meta_files.iter().cloned());
+        (episode.selector(), files)
+    };
+    Ok(LerobotListing { layout: dataset.version.layout(), episodes: here.map(files).collect() })
+}
+
+/// The name that a camera of a DROID-like data set has in a clip: `wrist`, `ext1`, `ext2`, and `..._right` for right
+/// eyes; other names stay.
+pub(crate) fn clip_camera(name: &str) -> String {
+    let last = name.rsplit('.').next().unwrap_or(name);
+    let (eye, right) = match last.strip_suffix("_right") {
+        Some(stem) => (stem, "_right"),
+        None => (last.strip_suffix("_left").unwrap_or(last), ""),
+    };
+    let known = match eye {
+        "wrist" | "wrist_image" | "hand" => "wrist",
+        "ext1" | "exterior_1" | "exterior_image_1" => "ext1",
+        "ext2" | "exterior_2" | "exterior_image_2" => "ext2",
+        _ => return last.to_owned(),
+    };
+    format!("{known}{right}")
+}
+
+/// Names under which a calibration file may know a clip camera.
+pub(crate) fn calibration_names(id: &str, data_name: &str) -> Vec<String> {
+    let mut names = vec![data_name.to_owned(), id.to_owned()];
+    let long = id.replace("ext1", "exterior_1").replace("ext2", "exterior_2");
+    names.push(format!("{long}_left"));
+    names.push(long);
+    names
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_every_port_are_known() {
+        assert_eq!(clip_camera("observation.images.wrist_left"), "wrist");
+        assert_eq!(clip_camera("observation.image.exterior_image_2_left"), "ext2");
+        assert_eq!(clip_camera("exterior_1_right"), "ext1_right");
+        assert_eq!(clip_camera("observation.images.cam_high"), "cam_high");
+        assert!(calibration_names("ext1", "observation.images.x").contains(&"exterior_1".to_owned()));
+    }
+}

@@ -1,0 +1,156 @@
+//! Columns of a parquet file as plain vectors.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use arrow::array::{Array, ArrayRef, AsArray as _, FixedSizeListArray};
+use arrow::compute::cast;
+use arrow::datatypes::{DataType, Float64Type};
+use parquet::arrow::ProjectionMask;
+use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use rogs_worker::StageResult;
+
+use crate::checks::{io_error, wrong};
+
+/// Most numbers read from one column.
+const MAX_VALUES: u64 = 1 << 28;
+
+/// Some columns of a file, all rows.
+pub(crate) struct Table {
+    path: PathBuf,
+    /// Rows.
+    pub(crate) rows: usize,
+    columns: BTreeMap<String, Column>,
+}
+
+enum Column {
+    /// `[rows, width]`
+    Numbers { width: usize, values: Vec<f64> },
+    /// First text of each row (a text, or a list of texts).
+    Texts(Vec<String>),
+}
+
+impl Table {
+    /// Reads those of the wanted columns that the file has.
+    pub(crate) fn read(path: &Path, wanted: &dyn Fn(&str) -> bool) -> StageResult<Self> {
+        let file = File::open(path).map_err(|error| io_error(path, &error))?;
+        let bad = |error: &dyn std::fmt::Display| wrong(path, format!("not a readable parquet file: {error}"));
+        let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|error| bad(&error))?;
+        let rows = u64::try_from(builder.metadata().file_metadata().num_rows()).unwrap_or(u64::MAX);
+        if rows > MAX_VALUES {
+            return Err(bad(&format!("{rows} rows")));
+        }
+        let schema = builder.schema().clone();
+        let roots: Vec<usize> = (0..schema.fields().len()).filter(|&index| wanted(schema.field(index).name())).collect();
+        let mask = ProjectionMask::roots(builder.parquet_schema(), roots.iter().copied());
+        let reader = builder.with_projection(mask).with_batch_size(8192).build().map_err(|error| bad(&error))?;
+        let mut table = Self { path: path.to_owned(), rows: 0, columns: BTreeMap::new() };
+        for batch in reader {
+            let batch = batch.map_err(|error| bad(&error))?;
+            for (field, array) in batch.schema().fields().iter().zip(batch.columns()) {
+                let name = field.name();
+                table.append(name, array).map_err(|what| wrong(path, format!("column `{name}`: {what}")))?;
+            }
+            table.rows += batch.num_rows();
+        }
+        Ok(table)
+    }
+
+    fn append(&mut self, name: &str, array: &ArrayRef) -> Result<(), String> {
+        let part = column(array)?;
+        let Some(column) = self.columns.get_mut(name) else {
+            self.columns.insert(name.to_owned(), part);
+            return Ok(());
+        };
+        match (column, part) {
+            (Column::Numbers { width, values }, Column::Numbers { width: more, values: added }) if *width == more => {
+                if (values.len() + added.len()) as u64 > MAX_VALUES {
+                    return Err("it has too many values".into());
+                }
+                values.extend(added);
+                Ok(())
+            }
+            (Column::Texts(texts), Column::Texts(added)) => {
+                texts.extend(added);
+                Ok(())
+            }
+            _ => Err("its rows have different lengths".into()),
+        }
+    }
+
+    /// True when the file has the column.
+    pub(crate) fn has(&self, name: &str) -> bool {
+        self.columns.contains_key(name)
+    }
+
+    /// A column of numbers: values per row, and all values.
+    pub(crate) fn numbers(&self, name: &str) -> StageResult<(usize, &[f64])> {
+        match self.columns.get(name) {
+            Some(Column::Numbers { width, values }) => Ok((*width, values)),
+            Some(Column::Texts(_)) => Err(wrong(&self.path, format!("column `{name}` holds text, expected numbers"))),
+            None => Err(wrong(&self.path, format!("there is no column `{name}`"))),
+        }
+    }
+
+    /// A column of one whole number per row.
+    pub(crate) fn integers(&self, name: &str) -> StageResult<Vec<u64>> {
+        let (width, values) = self.numbers(name)?;
+        let whole = |value: f64| (value >= 0.0 && value.fract() == 0.0 && value < 9e15).then_some(value as u64);
+        let integers: Option<Vec<u64>> = values.iter().map(|&value| whole(value)).collect();
+        integers
+            .filter(|_| width == 1)
+            .ok_or_else(|| wrong(&self.path, format!("column `{name}` does not hold one whole number per row")))
+    }
+
+    /// A column of text: the first of each row.
+    pub(crate) fn texts(&self, name: &str) -> StageResult<&[String]> {
+        match self.columns.get(name) {
+            Some(Column::Texts(texts)) => Ok(texts),
+            _ => Err(wrong(&self.path, format!("there is no column of text `{name}`"))),
+        }
+    }
+}
+
+fn column(array: &ArrayRef) -> Result<Column, String> {
+    match array.data_type() {
+        DataType::Utf8 | DataType::LargeUtf8 => {
+            let texts = cast(array, &DataType::Utf8).map_err(|error| error.to_string())?;
+            Ok(Column::Texts(texts.as_string::<i32>().iter().map(|text| text.unwrap_or_default().to_owned()).collect()))
+        }
+        DataType::FixedSizeList(_, width) => {
+            let list: &FixedSizeListArray = array.as_fixed_size_list();
+            let width = usize::try_from(*width).map_err(|_| "a list of negative length".to_owned())?;
+            let values = list.values().slice(list.value_offset_at(0) as usize, list.len() * width);
+            Ok(Column::Numbers { width, values: numbers(&values, list.null_count())? })
+        }
+        DataType::List(_) => {
+            let list = array.as_list::<i32>();
+            let offsets = list.value_offsets();
+            let (first, last) = (offsets[0] as usize, offsets[list.len()] as usize);
+            let values = list.values().slice(first, last - first);
+            if matches!(values.data_type(), DataType::Utf8 | DataType::LargeUtf8) {
+                let firsts = offsets.windows(2).map(|ends| (ends[0] < ends[1]).then_some(ends[0] as usize - first));
+                let Column::Texts(texts) = column(&values)? else { return Err("mixed".into()) };
+                return Ok(Column::Texts(firsts.map(|at| at.map_or(String::new(), |at| texts[at].clone())).collect()));
+            }
+            let width = if list.is_empty() { 0 } else { (offsets[1] - offsets[0]) as usize };
+            if offsets.windows(2).any(|ends| (ends[1] - ends[0]) as usize != width) {
+                return Err("its rows have different lengths".into());
+            }
+            Ok(Column::Numbers { width, values: numbers(&values, list.null_count())? })
+        }
+        _ => Ok(Column::Numbers { width: 1, values: numbers(array, 0)? }),
+    }
+}
+
+fn numbers(array: &ArrayRef, null_rows: usize) -> Result<Vec<f64>, String> {
+    if !(array.data_type().is_numeric() || *array.data_type() == DataType::Boolean) {
+        return Err(format!("values of type {} are not numbers", array.data_type()));
+    }
+    if null_rows > 0 || array.null_count() > 0 {
+        return Err("some rows have no value".into());
+    }
+    let values = cast(array, &DataType::Float64).map_err(|error| error.to_string())?;
+    Ok(values.as_primitive::<Float64Type>().values().to_vec())
+}

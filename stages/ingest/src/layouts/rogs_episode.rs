@@ -1,0 +1,226 @@
+//! Our own episode folder (`docs/episode-format.md`).
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use rogs_schemas::Intrinsics;
+use rogs_schemas::episode::{
+    EPISODE_FILE, EPISODE_FORMAT, Episode, EpisodeCamera, EpisodeCameraRole, EpisodeMount, EpisodeRobot, EpisodeTracks,
+    GRIPPER_COLUMN, Matrix4, PixelCentres, TIME_COLUMN,
+};
+use rogs_schemas::records::clip::CameraRole;
+use rogs_worker::StageResult;
+
+use crate::calibration::Calibration;
+use crate::checks::{self, inside, read_text, wrong};
+use crate::images::FrameSource;
+use crate::npy::Npy;
+use crate::source::{Source, SourceCamera, SourceDepth, SourceMount, SourceTracks, States};
+
+/// Longest `episode.json`, bytes.
+const MAX_JSON: u64 = 4 << 20;
+/// Longest table of states, bytes.
+const MAX_CSV: u64 = 64 << 20;
+/// Most frames of an episode.
+const MAX_FRAMES: u32 = 1 << 20;
+
+/// The description of an episode folder.
+pub(crate) fn read_description(root: &Path) -> StageResult<Episode> {
+    let path = root.join(EPISODE_FILE);
+    let text = read_text(&path, MAX_JSON)?;
+    let episode: Episode = serde_json::from_str(&text).map_err(|error| {
+        wrong(&path, format!("not an episode description: {error}")).with_hint("docs/episode-format.md shows one")
+    })?;
+    if episode.format != EPISODE_FORMAT {
+        return Err(wrong(&path, format!("the format is `{}`, this program reads `{EPISODE_FORMAT}`", episode.format)));
+    }
+    checks::episode_id(&episode.episode_id, &path)?;
+    Ok(episode)
+}
+
+/// Opens an episode folder.
+pub(crate) fn open(root: &Path, calibration: Option<&Calibration>) -> StageResult<Source> {
+    let path = root.join(EPISODE_FILE);
+    let episode = read_description(root)?;
+    if !(1..=MAX_FRAMES).contains(&episode.frame_count) {
+        return Err(wrong(&path, format!("`frame_count` {} is impossible", episode.frame_count)));
+    }
+    if !(episode.fps.is_finite() && episode.fps > 0.0) {
+        return Err(wrong(&path, format!("`fps` {} must be above 0", episode.fps)));
+    }
+    let mut names = BTreeSet::new();
+    if let Some(camera) = episode.cameras.iter().find(|camera| !names.insert(camera.id.as_str())) {
+        return Err(wrong(&path, format!("two cameras are named `{}`", camera.id)));
+    }
+    let frames = episode.frame_count;
+    let states = read_states(root, &path, &episode.robot, frames)?;
+    let cameras: StageResult<Vec<SourceCamera>> =
+        episode.cameras.into_iter().map(|camera| open_camera(root, &path, camera, frames, calibration)).collect();
+    let tracks = episode.tracks.map(|tracks| read_tracks(root, &path, &tracks, frames)).transpose()?;
+    let calibration_note = match calibration {
+        Some(calibration) => calibration.note(),
+        None => episode.calibration_note,
+    };
+    Ok(Source {
+        episode_id: episode.episode_id,
+        layout: "rogs-episode",
+        task: episode.task,
+        calibration_note,
+        fps: episode.fps,
+        frame_count: frames,
+        cameras: cameras?,
+        states,
+        tracks,
+        cameras_chosen: false,
+        warnings: Vec::new(),
+    })
+}
+
+fn open_camera(
+    root: &Path,
+    path: &Path,
+    camera: EpisodeCamera,
+    frames: u32,
+    calibration: Option<&Calibration>,
+) -> StageResult<SourceCamera> {
+    let id = &camera.id;
+    let size = (camera.width, camera.height);
+    if !(1..=8192).contains(&size.0) || !(1..=8192).contains(&size.1) {
+        return Err(wrong(path, format!("camera `{id}` has images of {}x{} pixels", size.0, size.1)));
+    }
+    let pixel_shift = match camera.pixel_centres {
+        PixelCentres::Half => 0.0,
+        PixelCentres::Integer => 0.5,
+    };
+    let calibrated = match calibration {
+        Some(calibration) => calibration.camera(&[id], size)?,
+        None => None,
+    };
+    let own = || {
+        let Intrinsics { fx, fy, cx, cy } = camera.intrinsics;
+        let shifted = Intrinsics { fx, fy, cx: cx + pixel_shift, cy: cy + pixel_shift };
+        checks::intrinsics(shifted, size, &format!("camera `{id}`"), path)
+    };
+    let (intrinsics, other_mount) = match calibrated {
+        Some(calibrated) => (calibrated.intrinsics, calibrated.mount),
+        None => (own()?, None),
+    };
+    let rigid = |Matrix4(matrix): &Matrix4, what: &str| checks::rigid_pose(matrix, &format!("{what} of camera `{id}`"), path);
+    let mount = match (other_mount, &camera.mount) {
+        (Some(mount), _) => mount,
+        (None, EpisodeMount::Fixed { base_from_camera }) => SourceMount::Fixed(rigid(base_from_camera, "`base_from_camera`")?),
+        (None, EpisodeMount::HandEye { link, link_from_camera }) => {
+            SourceMount::HandEye { link: link.clone(), link_from_camera: rigid(link_from_camera, "`link_from_camera`")? }
+        }
+        (None, EpisodeMount::Trajectory { base_from_camera }) => read_trajectory(&inside(root, base_from_camera, path)?, frames)?,
+    };
+    let images = match &camera.images {
+        Some(images) => Some(FrameSource::open(inside(root, images, path)?, frames, size)?),
+        None => None,
+    };
+    let depth = match &camera.depth {
+        Some(depth) => Some(SourceDepth { path: inside(root, &depth.path, path)?, range_m: depth.range_m }),
+        None => None,
+    };
+    let role = match camera.role {
+        EpisodeCameraRole::Source => CameraRole::Source,
+        EpisodeCameraRole::Evaluation => CameraRole::Evaluation,
+    };
+    let (width, height) = size;
+    Ok(SourceCamera { id: camera.id, role, partner: camera.partner, width, height, intrinsics, pixel_shift, mount, images, depth })
+}
+
+fn read_trajectory(path: &Path, frames: u32) -> StageResult<SourceMount> {
+    let mut array = Npy::open(path)?;
+    array.expect_shape(&[Some(u64::from(frames)), Some(4), Some(4)])?;
+    array.expect_floats()?;
+    let values = array.all()?;
+    let pose = |(frame, matrix): (usize, &[f64; 16])| {
+        let rows = [0, 4, 8, 12].map(|row| [matrix[row], matrix[row + 1], matrix[row + 2], matrix[row + 3]]);
+        checks::rigid_pose(&rows, &format!("the pose at frame {frame}"), path)
+    };
+    let poses: StageResult<Vec<_>> = values.as_chunks::<16>().0.iter().enumerate().map(pose).collect();
+    Ok(SourceMount::Trajectory(poses?))
+}
+
+/// The table of joint and gripper states.
+fn read_states(root: &Path, json: &Path, robot: &EpisodeRobot, frames: u32) -> StageResult<States> {
+    let path = inside(root, &robot.states, json)?;
+    let text = read_text(&path, MAX_CSV)?;
+    let mut lines = text.trim_start_matches('\u{feff}').lines();
+    let header: Vec<&str> = lines.next().unwrap_or_default().split(',').map(str::trim).collect();
+    let column = |name: &str| {
+        let found: Vec<usize> = (0..header.len()).filter(|&index| header[index] == name).collect();
+        match found[..] {
+            [column] => Ok(column),
+            [] => Err(wrong(&path, format!("there is no column `{name}`; the header is `{}`", header.join(",")))),
+            _ => Err(wrong(&path, format!("there are several columns `{name}`"))),
+        }
+    };
+    let columns: StageResult<Vec<usize>> = robot.joint_names.iter().map(|name| column(name)).collect();
+    let (columns, gripper_column) = (columns?, column(GRIPPER_COLUMN)?);
+    let time_column = header.iter().position(|name| *name == TIME_COLUMN);
+    let mut states = States { joint_names: robot.joint_names.clone(), positions: Vec::new(), gripper: Vec::new() };
+    let mut before = f64::NEG_INFINITY;
+    for (row, line) in lines.filter(|line| !line.trim().is_empty()).enumerate() {
+        if row >= frames as usize {
+            return Err(wrong(&path, format!("there are more rows than the {frames} frames of the episode")));
+        }
+        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+        if cells.len() != header.len() {
+            return Err(wrong(&path, format!("row {row} has {} cells, the header {}", cells.len(), header.len())));
+        }
+        let number = |column: usize| {
+            let cell = cells[column];
+            cell.parse::<f64>().map_err(|_| wrong(&path, format!("`{cell}` in column `{}`, row {row} is no number", header[column])))
+        };
+        for &column in &columns {
+            states.positions.push(number(column)?);
+        }
+        states.gripper.push(number(gripper_column)?);
+        if let Some(column) = time_column {
+            let time = number(column)?;
+            // Also true for NaN.
+            if !(time > before) {
+                return Err(wrong(&path, format!("the time {time} at row {row} does not ascend")));
+            }
+            before = time;
+        }
+    }
+    if states.gripper.len() != frames as usize {
+        return Err(wrong(&path, format!("there are {} rows, the episode has {frames} frames", states.gripper.len())));
+    }
+    checks::states(&states, "row", &path)?;
+    Ok(states)
+}
+
+fn read_tracks(root: &Path, json: &Path, tracks: &EpisodeTracks, frames: u32) -> StageResult<SourceTracks> {
+    let array = |name: &str, shape: &[Option<u64>]| {
+        let path = inside(root, name, json)?;
+        let mut array = Npy::open(&path)?;
+        array.expect_shape(shape)?;
+        StageResult::Ok((array.all()?, path))
+    };
+    let (camera, camera_path) = array(&tracks.camera, &[None])?;
+    let count = Some(camera.len() as u64);
+    let (pixel, _) = array(&tracks.pixel, &[count, Some(2)])?;
+    let (position, _) = array(&tracks.position_m, &[count, Some(u64::from(frames)), Some(3)])?;
+    let (visible, visible_path) = array(&tracks.visible, &[count, Some(u64::from(frames))])?;
+    if let Some(index) = camera.iter().position(|value| value.fract() != 0.0 || !(0.0..256.0).contains(value)) {
+        return Err(wrong(&camera_path, format!("{} at {index} is no camera index", camera[index])));
+    }
+    if let Some(index) = visible.iter().position(|value| *value != 0.0 && *value != 1.0) {
+        return Err(wrong(&visible_path, format!("{} at {index} is neither 0 nor 1", visible[index])));
+    }
+    if tracks.anchor_frame >= frames {
+        return Err(wrong(json, format!("the anchor frame {} of the tracks is not below {frames}", tracks.anchor_frame)));
+    }
+    let floats = |values: Vec<f64>| values.into_iter().map(|value| value as f32).collect();
+    Ok(SourceTracks {
+        anchor_frame: tracks.anchor_frame,
+        camera: camera.into_iter().map(|value| value as u32).collect(),
+        pixel: floats(pixel),
+        position_m: floats(position),
+        visible: visible.into_iter().map(|value| value as u8).collect(),
+    })
+}

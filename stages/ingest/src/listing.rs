@@ -1,0 +1,107 @@
+//! Finding the episodes below a folder.
+
+use std::path::Path;
+
+use rogs_worker::{StageError, StageResult};
+use serde::Serialize;
+
+use crate::checks::safe_name;
+use crate::layouts::{Layout, ctrlworld, detect, lerobot_dataset, rogs_episode};
+
+/// One episode that can be ingested.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct EpisodeListing {
+    /// Id in the dataset.
+    pub episode_id: String,
+    /// A name made of it that can be a file name.
+    pub name: String,
+    /// Layout, as the clip keeps it.
+    pub layout: String,
+    /// Folder to give as input `episode`, relative to the listed root (`.` for the root itself).
+    pub folder: String,
+    /// Value for the parameter `episode`.
+    pub selector: String,
+    /// Every file that ingest may read for it, relative to `folder`, sorted.
+    pub files: Vec<String>,
+}
+
+/// The episodes of a folder: the folder itself in any layout, or the folders right below it.
+///
+/// # Errors
+/// When the folder or the description of a data set cannot be read. One episode that is damaged is listed with the files
+/// that are there; ingesting it says what is wrong.
+pub fn list_episodes(root: &Path) -> StageResult<Vec<EpisodeListing>> {
+    if let Some(layout) = detect(root) {
+        return list(root, ".", layout);
+    }
+    let entries = std::fs::read_dir(root).map_err(|error| crate::checks::io_error(root, &error))?;
+    let mut names: Vec<String> = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok()).collect();
+    names.sort();
+    let mut found = Vec::new();
+    for name in names {
+        let folder = root.join(&name);
+        if let Some(layout) = detect(&folder) {
+            found.extend(list(&folder, &name, layout)?);
+        }
+    }
+    if found.is_empty() {
+        return Err(StageError::bad_input(format!("`{}` holds no episode of a known layout", root.display())).with_hint(
+            "expected `episode.json` (docs/episode-format.md), `annotation/` and `videos/` (DROID, Ctrl-World), or `meta/info.json` (LeRobot)",
+        ));
+    }
+    Ok(found)
+}
+
+fn list(folder: &Path, relative: &str, layout: Layout) -> StageResult<Vec<EpisodeListing>> {
+    let listing = |episode_id: String, layout: &str, selector: String, mut files: Vec<String>| {
+        files.sort();
+        files.dedup();
+        EpisodeListing { name: safe_name(&episode_id), episode_id, layout: layout.to_owned(), folder: relative.to_owned(), selector, files }
+    };
+    match layout {
+        Layout::RogsEpisode => {
+            // A description that is damaged still names an episode: by its folder.
+            let id = match rogs_episode::read_description(folder) {
+                Ok(episode) => episode.episode_id,
+                Err(_) => folder.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+            };
+            Ok(vec![listing(id, "rogs-episode", String::new(), all_files(folder)?)])
+        }
+        Layout::DroidCtrlworld => {
+            let one = |selector: String| match ctrlworld::files(folder, &selector) {
+                Ok((id, files)) => listing(id, "droid-ctrlworld", selector, files),
+                Err(_) => {
+                    let id = selector.rsplit('/').next().unwrap_or(&selector).to_owned();
+                    let files = vec![format!("annotation/{selector}.json")];
+                    listing(id, "droid-ctrlworld", selector, files)
+                }
+            };
+            Ok(ctrlworld::selectors(folder)?.into_iter().map(one).collect())
+        }
+        Layout::Lerobot => {
+            let dataset = lerobot_dataset(folder)?;
+            let one = |(selector, files): (String, Vec<String>)| listing(selector.clone(), dataset.layout, selector, files);
+            Ok(dataset.episodes.into_iter().map(one).collect())
+        }
+    }
+}
+
+/// Every file below a folder, relative.
+fn all_files(folder: &Path) -> StageResult<Vec<String>> {
+    fn walk(root: &Path, folder: &Path, depth: usize, out: &mut Vec<String>) -> StageResult<()> {
+        let entries = std::fs::read_dir(folder).map_err(|error| crate::checks::io_error(folder, &error))?;
+        for entry in entries.filter_map(Result::ok) {
+            let path = entry.path();
+            let name = path.strip_prefix(root).unwrap_or(&path).to_str().map(str::to_owned);
+            match entry.file_type() {
+                Ok(kind) if kind.is_dir() && depth < 8 => walk(root, &path, depth + 1, out)?,
+                Ok(kind) if !kind.is_dir() => out.extend(name),
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+    let mut files = Vec::new();
+    walk(folder, folder, 0, &mut files)?;
+    Ok(files)
+}

@@ -1,0 +1,55 @@
+//! What can be decoded on this machine, for `rogs doctor`.
+
+use std::process::{Command, Stdio};
+
+use serde::Serialize;
+
+/// The video programs and what they can do.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct MediaReport {
+    /// Version line of `ffmpeg`, where it is on the PATH.
+    pub ffmpeg: Option<String>,
+    /// Version line of `ffprobe`, where it is on the PATH.
+    pub ffprobe: Option<String>,
+    /// H.264 can be decoded.
+    pub h264: bool,
+    /// HEVC can be decoded.
+    pub hevc: bool,
+    /// AV1 can be decoded (most LeRobot data sets).
+    pub av1: bool,
+    /// What is missing and what to do; empty when all is well.
+    pub problems: Vec<String>,
+}
+
+/// Looks for the video programs. Episodes with PNG images need none of them.
+#[must_use]
+pub fn media_report() -> MediaReport {
+    let first_line = |program: &str| Some(output(program, &["-version"])?.lines().next()?.to_owned());
+    let (ffmpeg, ffprobe) = (first_line("ffmpeg"), first_line("ffprobe"));
+    let decoders = output("ffmpeg", &["-hide_banner", "-decoders"]).unwrap_or_default();
+    // Lines such as ` V....D libdav1d             dav1d AV1 decoder by VideoLAN (codec av1)`.
+    let decodes = |codec: &str| {
+        let named = format!("(codec {codec})");
+        decoders.lines().any(|line| line.trim_start().starts_with('V') && (line.contains(&named) || line.split_whitespace().nth(1) == Some(codec)))
+    };
+    let (h264, hevc, av1) = (decodes("h264"), decodes("hevc"), decodes("av1"));
+    let mut problems = Vec::new();
+    for (program, found) in [("ffmpeg", &ffmpeg), ("ffprobe", &ffprobe)] {
+        if found.is_none() {
+            problems.push(format!("`{program}` is not on the PATH: episodes with videos cannot be read; install ffmpeg"));
+        }
+    }
+    if ffmpeg.is_some() {
+        for (codec, found) in [("h264", h264), ("av1", av1)] {
+            if !found {
+                problems.push(format!("this ffmpeg cannot decode {codec}; install a build that can"));
+            }
+        }
+    }
+    MediaReport { ffmpeg, ffprobe, h264, hevc, av1, problems }
+}
+
+fn output(program: &str, arguments: &[&str]) -> Option<String> {
+    let output = Command::new(program).args(arguments).stdin(Stdio::null()).stderr(Stdio::null()).output().ok()?;
+    output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
+}

@@ -1,0 +1,167 @@
+//! Parameters of the stage.
+
+use rogs_worker::{StageError, StageResult};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// What to cut out of an episode, and how. The default is the paper's clip: 17 frames, sources 0, 4, 8, 12, 16, 280x154.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Params {
+    /// Layout of the episode folder.
+    pub layout: LayoutChoice,
+    /// Which episode of the folder: what `rogs-ingest list` prints as selector. Empty when the folder holds only one.
+    pub episode: String,
+    /// Episode frame that becomes clip frame 0. `null`: the anchor frame of the episode's tracks where it has tracks;
+    /// else 7 (the first frame of the paper's interval) when the clip still fits behind it; else 0.
+    pub start_frame: Option<u32>,
+    /// Frames of the clip.
+    pub frames: u32,
+    /// Episode frames from one clip frame to the next.
+    pub frame_step: u32,
+    /// Source times, clip frames.
+    pub source_frames: Vec<u32>,
+    /// Query times.
+    pub query: QueryChoice,
+    /// Anchor time of displacement scores, a clip frame. `null`: that of the tracks where there are tracks, else the
+    /// first source time.
+    pub anchor_frame: Option<u32>,
+    /// Image height of the clip, pixels.
+    pub height: u32,
+    /// Image width of the clip, pixels.
+    pub width: u32,
+    /// How images of another aspect are brought to this size.
+    pub fit: Fit,
+    /// Which cameras of the episode become which cameras of the clip, in this order (wrist first). Empty: all that the
+    /// layout names.
+    pub cameras: Vec<CameraChoice>,
+    /// Depths outside this open interval are not scored, metres. `null`: what the episode says.
+    pub depth_range_m: Option<[f32; 2]>,
+    /// Where joint and gripper states are, for layouts that do not say.
+    pub states: StateColumns,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self {
+            layout: LayoutChoice::Auto,
+            episode: String::new(),
+            start_frame: None,
+            frames: 17,
+            frame_step: 1,
+            source_frames: vec![0, 4, 8, 12, 16],
+            query: QueryChoice::Plan(QueryPlanName::Paper),
+            anchor_frame: None,
+            height: 154,
+            width: 280,
+            fit: Fit::Cover,
+            cameras: Vec::new(),
+            depth_range_m: None,
+            states: StateColumns::default(),
+        }
+    }
+}
+
+/// Layout of an episode folder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum LayoutChoice {
+    /// Told by the files in it.
+    #[default]
+    Auto,
+    /// Our own (`docs/episode-format.md`).
+    RogsEpisode,
+    /// DROID as Ctrl-World keeps it: `annotation/` and `videos/`.
+    DroidCtrlworld,
+    /// LeRobot v2.1 or v3.0.
+    Lerobot,
+}
+
+/// Query times of a clip.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum QueryChoice {
+    /// A named plan.
+    Plan(QueryPlanName),
+    /// These clip frames.
+    Frames(Vec<u32>),
+}
+
+/// Named query plans.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum QueryPlanName {
+    /// The paper's: eight requests drawn from the episode id.
+    Paper,
+    /// Every clip frame.
+    All,
+}
+
+/// How an image of another aspect is brought to the clip's size.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Fit {
+    /// Scaled by one factor until it covers the target, then cut at the centre.
+    #[default]
+    Cover,
+    /// Scaled along each axis on its own; nothing is cut.
+    Stretch,
+}
+
+/// One camera of the clip.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CameraChoice {
+    /// Name in the clip: `wrist`, `ext1`, `ext2`, ...
+    pub id: String,
+    /// Name in the episode.
+    pub from: String,
+}
+
+/// Where states are in tables that do not follow the usual names.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct StateColumns {
+    /// Entries of `observation.state` (by their names in `meta/info.json`) that are the arm's joints, in order. Empty:
+    /// `observation.state.joint_position`, or all entries of `observation.state` that are not the gripper.
+    pub joints: Vec<String>,
+    /// Names of these joints in the URDF. Empty: `panda_joint1` to `panda_joint7` for seven joints of a Franka arm, else
+    /// the names in the data.
+    pub joint_names: Vec<String>,
+    /// Entry of `observation.state` that is the gripper. `null`: `observation.state.gripper_position`, or `gripper`.
+    pub gripper: Option<String>,
+    /// The data has 1 for open: take 1 - value.
+    pub invert_gripper: bool,
+}
+
+impl Params {
+    /// Checks what does not depend on an episode.
+    pub(crate) fn check(&self) -> StageResult<()> {
+        let wrong = |what: String| Err(StageError::bad_params(what));
+        if !(1..=4096).contains(&self.frames) || self.frame_step == 0 {
+            return wrong(format!("`frames` {} and `frame_step` {} are impossible", self.frames, self.frame_step));
+        }
+        let sides = [self.height, self.width];
+        if sides.iter().any(|side| !(1..=8192).contains(side)) {
+            return wrong(format!("an image of {}x{} pixels is impossible", self.width, self.height));
+        }
+        let sources = &self.source_frames;
+        if sources.is_empty() || !sources.is_sorted_by(|a, b| a < b) || sources.last().is_some_and(|&s| s >= self.frames) {
+            return wrong(format!("`source_frames` {sources:?} must ascend below `frames` {}", self.frames));
+        }
+        if let QueryChoice::Frames(frames) = &self.query
+            && let Some(frame) = frames.iter().find(|&&frame| frame >= self.frames)
+        {
+            return wrong(format!("`query` frame {frame} is not below `frames` {}", self.frames));
+        }
+        if self.anchor_frame.is_some_and(|anchor| anchor >= self.frames) {
+            return wrong(format!("`anchor_frame` is not below `frames` {}", self.frames));
+        }
+        if let Some([near, far]) = self.depth_range_m
+            && !(near.is_finite() && far.is_finite() && 0.0 <= near && near < far)
+        {
+            return wrong(format!("`depth_range_m` {near} to {far} is no interval"));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,99 @@
+//! An episode as every layout delivers it: described and checked, nothing decoded yet.
+
+use std::path::PathBuf;
+
+use rogs_schemas::records::clip::CameraRole;
+use rogs_schemas::{Intrinsics, RigidPose};
+
+use crate::images::FrameSource;
+
+/// An episode. All sequences count episode frames `0..frame_count`.
+#[derive(Debug)]
+pub(crate) struct Source {
+    /// Id in the dataset.
+    pub(crate) episode_id: String,
+    /// Name of the layout, as the clip keeps it.
+    pub(crate) layout: &'static str,
+    /// Language instruction.
+    pub(crate) task: String,
+    /// Where the calibration comes from.
+    pub(crate) calibration_note: String,
+    /// Frames per second.
+    pub(crate) fps: f64,
+    /// Frames.
+    pub(crate) frame_count: u32,
+    /// Cameras, sources first.
+    pub(crate) cameras: Vec<SourceCamera>,
+    /// Joints and gripper.
+    pub(crate) states: States,
+    /// Tracks, where there are any.
+    pub(crate) tracks: Option<SourceTracks>,
+    /// The layout has applied the choice of cameras of the parameters.
+    pub(crate) cameras_chosen: bool,
+    /// What a person should know.
+    pub(crate) warnings: Vec<String>,
+}
+
+/// A camera.
+#[derive(Debug)]
+pub(crate) struct SourceCamera {
+    pub(crate) id: String,
+    pub(crate) role: CameraRole,
+    /// Id of the source camera it is the partner of.
+    pub(crate) partner: Option<String>,
+    /// Size of the recorded images.
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    /// Pixels of the recorded images, pixel centres at + 0.5.
+    pub(crate) intrinsics: Intrinsics,
+    /// Added to track pixels to get pixel centres at + 0.5.
+    pub(crate) pixel_shift: f64,
+    pub(crate) mount: SourceMount,
+    pub(crate) images: Option<FrameSource>,
+    pub(crate) depth: Option<SourceDepth>,
+}
+
+/// How a camera is mounted. Poses are checked to be rigid.
+#[derive(Debug, Clone)]
+pub(crate) enum SourceMount {
+    Fixed(RigidPose),
+    /// One pose per episode frame.
+    Trajectory(Vec<RigidPose>),
+    HandEye {
+        link: String,
+        link_from_camera: RigidPose,
+    },
+}
+
+/// Reference depth.
+#[derive(Debug)]
+pub(crate) struct SourceDepth {
+    /// `.npy` file or folder.
+    pub(crate) path: PathBuf,
+    pub(crate) range_m: [f32; 2],
+}
+
+/// Joints and gripper at every frame.
+#[derive(Debug, Clone)]
+pub(crate) struct States {
+    pub(crate) joint_names: Vec<String>,
+    /// `[F, J]`
+    pub(crate) positions: Vec<f64>,
+    /// `[F]`
+    pub(crate) gripper: Vec<f64>,
+}
+
+/// Tracks with anchor pixels of the recorded images, as stored.
+#[derive(Debug)]
+pub(crate) struct SourceTracks {
+    /// Episode frame.
+    pub(crate) anchor_frame: u32,
+    /// Index into the episode's cameras. `[K]`
+    pub(crate) camera: Vec<u32>,
+    /// `[K, 2]`
+    pub(crate) pixel: Vec<f32>,
+    /// `[K, F, 3]`
+    pub(crate) position_m: Vec<f32>,
+    /// `[K, F]`
+    pub(crate) visible: Vec<u8>,
+}

@@ -1,0 +1,196 @@
+//! Video through the programs `ffprobe` and `ffmpeg`: no system library is linked.
+//!
+//! Frames are taken by their number, never by time, and decoding stops behind the last one needed. The programs read
+//! one local file in a known container format and nothing else.
+
+use std::io::Read as _;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use rogs_worker::{StageError, StageResult};
+use serde::Deserialize;
+
+use crate::checks::{io_error, wrong};
+
+/// Largest side of a video, pixels.
+const MAX_SIDE: u32 = 8192;
+/// Most pixels of a frame.
+const MAX_PIXELS: u64 = 40_000_000;
+/// Container formats that are opened.
+const FORMATS: &str = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi";
+
+/// What a video file says about its first video stream.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct VideoInfo {
+    /// Codec name, `h264`.
+    pub(crate) codec: String,
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    /// Frames in the file, counted without decoding.
+    pub(crate) frames: u64,
+    /// Frames per second.
+    pub(crate) fps: f64,
+}
+
+#[derive(Deserialize)]
+struct Probe {
+    #[serde(default)]
+    streams: Vec<ProbeStream>,
+}
+
+#[derive(Deserialize)]
+struct ProbeStream {
+    #[serde(default)]
+    codec_name: String,
+    width: Option<u32>,
+    height: Option<u32>,
+    nb_frames: Option<String>,
+    nb_read_packets: Option<String>,
+    avg_frame_rate: Option<String>,
+}
+
+/// Reads a video file's header and counts its frames.
+pub(crate) fn probe(path: &Path) -> StageResult<VideoInfo> {
+    std::fs::metadata(path).map_err(|error| io_error(path, &error))?;
+    let mut command = Command::new("ffprobe");
+    command.args(["-v", "error", "-protocol_whitelist", "file", "-format_whitelist", FORMATS]);
+    command.args(["-select_streams", "v:0", "-count_packets", "-of", "json", "-show_entries"]);
+    command.arg("stream=codec_name,width,height,nb_frames,nb_read_packets,avg_frame_rate");
+    command.arg(url(path)).stdin(Stdio::null());
+    let output = command.output().map_err(|error| no_program("ffprobe", &error))?;
+    let problem = last_line(&output.stderr);
+    if !output.status.success() {
+        return Err(wrong(path, format!("ffprobe cannot read the video: {problem}")));
+    }
+    let probe: Probe = serde_json::from_slice(&output.stdout)
+        .map_err(|error| wrong(path, format!("ffprobe's answer is not readable: {error}")))?;
+    let stream = probe.streams.first().ok_or_else(|| wrong(path, "there is no video stream in it"))?;
+    let (Some(width), Some(height)) = (stream.width, stream.height) else {
+        return Err(wrong(path, "the video has no size"));
+    };
+    let sides = (1..=MAX_SIDE).contains(&width) && (1..=MAX_SIDE).contains(&height);
+    if !sides || u64::from(width) * u64::from(height) > MAX_PIXELS {
+        return Err(wrong(path, format!("frames of {width}x{height} pixels are larger than this program reads")));
+    }
+    let number = |text: &Option<String>| text.as_ref().and_then(|text| text.parse::<u64>().ok());
+    let frames = number(&stream.nb_read_packets).ok_or_else(|| wrong(path, "its frames cannot be counted"))?;
+    if let Some(declared) = number(&stream.nb_frames)
+        && declared != frames
+    {
+        return Err(wrong(path, format!("its header declares {declared} frames but it holds {frames}: it is cut off")));
+    }
+    let fps = stream.avg_frame_rate.as_deref().and_then(rate).unwrap_or(0.0);
+    Ok(VideoInfo { codec: stream.codec_name.clone(), width, height, frames, fps })
+}
+
+/// Decodes `count` frames, `first`, `first + step`, ..., and hands each to `take` as RGB. `[h, w, 3]`
+///
+/// Returns what the decoder complained about, if anything.
+pub(crate) fn decode(
+    path: &Path,
+    info: &VideoInfo,
+    (first, step, count): (u64, u64, u64),
+    mut take: impl FnMut(u64, &[u8]) -> StageResult<()>,
+) -> StageResult<Option<String>> {
+    let last = first + (count.max(1) - 1) * step;
+    if last >= info.frames {
+        return Err(wrong(path, format!("frame {last} is needed but the video has {} frames", info.frames)));
+    }
+    let mut command = Command::new("ffmpeg");
+    command.args(["-v", "error", "-nostdin", "-xerror", "-noautorotate"]);
+    command.args(["-protocol_whitelist", "file", "-format_whitelist", FORMATS]);
+    command.arg("-i").arg(url(path)).args(["-map", "0:v:0"]);
+    command.args(["-vf", &format!("select='gte(n,{first})*not(mod(n-{first},{step}))'")]);
+    command.args(["-fps_mode", "passthrough", "-frames:v", &count.to_string()]);
+    command.args(["-sws_flags", "bilinear+accurate_rnd+full_chroma_int+bitexact"]);
+    command.args(["-pix_fmt", "rgb24", "-f", "rawvideo", "pipe:1"]);
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = Running(command.spawn().map_err(|error| no_program("ffmpeg", &error))?);
+    let (Some(mut frames), Some(complaints)) = (child.0.stdout.take(), child.0.stderr.take()) else {
+        return Err(StageError::internal("ffmpeg was started without pipes"));
+    };
+    // Its own thread, so that a talkative decoder does not block; only the beginning is kept.
+    let complaints = std::thread::spawn(move || {
+        let mut text = Vec::new();
+        let mut complaints = complaints;
+        let kept = std::io::Read::by_ref(&mut complaints).take(4096).read_to_end(&mut text);
+        let drained = std::io::copy(&mut complaints, &mut std::io::sink());
+        kept.and(drained).map(|_| text)
+    });
+    let mut frame = vec![0; info.width as usize * info.height as usize * 3];
+    let mut decoded = 0;
+    let mut failure = None;
+    while decoded < count {
+        match frames.read_exact(&mut frame) {
+            Ok(()) => take(decoded, &frame)?,
+            Err(error) => {
+                failure = Some(error);
+                break;
+            }
+        }
+        decoded += 1;
+    }
+    let surplus = failure.is_none() && frames.read(&mut [0; 1]).is_ok_and(|bytes| bytes > 0);
+    drop(frames);
+    let status = child.0.wait().map_err(|error| no_program("ffmpeg", &error))?;
+    let complaints = complaints.join().ok().and_then(Result::ok).unwrap_or_default();
+    let problem = last_line(&complaints);
+    if failure.is_some() || surplus || !status.success() {
+        let at = first + decoded * step;
+        let text = format!("decoding stopped at frame {at} of {}, {decoded} of {count} frames came: {problem}", info.frames);
+        return Err(wrong(path, text));
+    }
+    Ok((!complaints.is_empty()).then_some(problem))
+}
+
+/// A child that does not outlive its owner.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // Both fail only when it has ended already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// The path as the programs must see it: never an option, never another protocol.
+fn url(path: &Path) -> std::ffi::OsString {
+    let mut url = std::ffi::OsString::from("file:");
+    url.push(path);
+    url
+}
+
+fn rate(text: &str) -> Option<f64> {
+    let (over, under) = text.split_once('/')?;
+    let value = over.parse::<f64>().ok()? / under.parse::<f64>().ok()?;
+    (value.is_finite() && value > 0.0).then_some(value)
+}
+
+fn last_line(bytes: &[u8]) -> String {
+    let text = String::from_utf8_lossy(bytes);
+    let line = text.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("it gave no reason");
+    line.trim().chars().take(300).collect()
+}
+
+fn no_program(name: &str, error: &std::io::Error) -> StageError {
+    StageError::bad_input(format!("the program `{name}` cannot be run: {error}"))
+        .with_hint("install ffmpeg (it brings ffprobe) and see that it is on the PATH; `rogs doctor` checks it")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rates_are_fractions() {
+        assert_eq!(rate("30000/1001"), Some(30000.0 / 1001.0));
+        assert_eq!(rate("0/0"), None);
+        assert_eq!(rate("x"), None);
+    }
+
+    #[test]
+    fn a_path_is_never_an_option() {
+        assert_eq!(url(Path::new("-i")), "file:-i");
+    }
+}
