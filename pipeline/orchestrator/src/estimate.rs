@@ -1,0 +1,155 @@
+//! What a run will cost: a dry run with what earlier attempts took.
+
+use serde::Serialize;
+
+use crate::error::Result;
+use crate::executor::RunOptions;
+use crate::ledger::{StageCost, costs, read_all};
+use crate::plan::Plan;
+use crate::state::OutputState;
+use crate::sys::free_disk;
+
+/// What is to be done and what that will probably cost.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Estimate {
+    /// Version of this value.
+    pub format: &'static str,
+    /// Name of the run.
+    pub name: String,
+    /// Clips of the plan.
+    pub clips: usize,
+    /// Per node.
+    pub nodes: Vec<NodeEstimate>,
+    /// Seconds on this machine with these workers; `None` when a stage has no record yet.
+    pub seconds: Option<f64>,
+    /// Bytes that will be written; `None` when a stage has no record yet.
+    pub disk_bytes: Option<u64>,
+    /// Bytes free where the run folder lies.
+    pub free_bytes: Option<u64>,
+    /// Workers that the estimate assumes.
+    pub workers: usize,
+}
+
+/// One node.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct NodeEstimate {
+    /// The node, for example `lift`.
+    pub node: String,
+    /// Units that are up to date.
+    pub up_to_date: usize,
+    /// Units to make.
+    pub todo: usize,
+    /// What earlier units of the stage took, where there are any.
+    pub cost: Option<StageCost>,
+}
+
+/// Looks at the outputs and the ledgers; changes nothing.
+///
+/// # Errors
+/// When the run folder cannot be read.
+pub fn estimate(plan: &Plan, options: &RunOptions) -> Result<Estimate> {
+    let costs = costs(&read_all(&plan.run)?);
+    let states = plan.states();
+    let node = |index: usize| {
+        let up_to_date = states
+            .iter()
+            .filter(|clip| clip[index] == OutputState::UpToDate)
+            .count();
+        let node = &plan.nodes[index];
+        let cost = costs.get(&node.stage).copied();
+        NodeEstimate {
+            node: node.label.clone(),
+            up_to_date,
+            todo: plan.clips.len() - up_to_date,
+            cost,
+        }
+    };
+    let nodes: Vec<NodeEstimate> = (0..plan.nodes.len()).map(node).collect();
+    let sum = |value: fn(&StageCost) -> f64| -> Option<f64> {
+        let to_do = nodes.iter().filter(|node| node.todo > 0);
+        to_do
+            .map(|node| Some(value(node.cost.as_ref()?) * node.todo as f64))
+            .sum()
+    };
+    let parallel = options.workers.min(plan.clips.len()).max(1) as f64;
+    Ok(Estimate {
+        format: "rogs-estimate 1",
+        name: plan.name.clone(),
+        clips: plan.clips.len(),
+        seconds: sum(|cost| cost.seconds).map(|seconds| seconds / parallel),
+        disk_bytes: sum(|cost| cost.output_bytes as f64).map(|bytes| bytes as u64),
+        free_bytes: plan.run.ancestors().find(|folder| folder.is_dir()).and_then(free_disk),
+        workers: options.workers,
+        nodes,
+    })
+}
+
+impl Estimate {
+    /// The estimate as a table for people.
+    #[must_use]
+    pub fn table(&self) -> String {
+        use std::fmt::Write as _;
+        let mut out = String::new();
+        let _ = writeln!(out, "{}: {} clips", self.name, self.clips);
+        let width = self
+            .nodes
+            .iter()
+            .map(|node| node.node.chars().count())
+            .max()
+            .unwrap_or(5)
+            .max(5);
+        let _ = writeln!(
+            out,
+            "{:width$}  {:>10} {:>7} {:>10} {:>10} {:>10}",
+            "stage", "up to date", "to do", "s / clip", "MiB / clip", "peak MiB"
+        );
+        for node in &self.nodes {
+            let cost = node.cost.map_or_else(
+                || format!("{:>10} {:>10} {:>10}", "?", "?", "?"),
+                |cost| {
+                    let mebibytes = |bytes: u64| bytes as f64 / 1_048_576.0;
+                    format!(
+                        "{:>10.2} {:>10.2} {:>10.0}",
+                        cost.seconds,
+                        mebibytes(cost.output_bytes),
+                        mebibytes(cost.peak_rss_bytes)
+                    )
+                },
+            );
+            let _ = writeln!(
+                out,
+                "{:width$}  {:>10} {:>7} {cost}",
+                node.node, node.up_to_date, node.todo
+            );
+        }
+        let gibibytes = |bytes: u64| format!("{:.2} GiB", bytes as f64 / 1_073_741_824.0);
+        let seconds = self
+            .seconds
+            .map_or("unknown (no earlier records)".to_owned(), |seconds| duration(seconds));
+        let disk = self.disk_bytes.map_or("unknown".to_owned(), gibibytes);
+        let free = self.free_bytes.map_or("unknown".to_owned(), gibibytes);
+        let _ = writeln!(
+            out,
+            "time with {} workers: {seconds}; disk: {disk} of {free} free",
+            self.workers
+        );
+        out
+    }
+
+    /// True when the disk will not hold what the plan writes.
+    #[must_use]
+    pub fn disk_too_small(&self) -> bool {
+        matches!((self.disk_bytes, self.free_bytes), (Some(needed), Some(free)) if needed > free)
+    }
+}
+
+/// Seconds for people.
+#[must_use]
+pub fn duration(seconds: f64) -> String {
+    let whole = seconds.round() as u64;
+    match whole {
+        0..60 => format!("{seconds:.1} s"),
+        60..3600 => format!("{} min {:02} s", whole / 60, whole % 60),
+        _ => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
+    }
+}

@@ -1,0 +1,356 @@
+//! The loop that gives ready units to slots and notes how they end.
+
+use std::collections::HashMap;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use rogs_schemas::ledger::{Attempt, Failure, Outcome};
+use rogs_schemas::protocol::FailureCode;
+
+use super::policy::{Retry, retry};
+use super::progress::Display;
+use super::queue::{Cell, Queue};
+use super::slot::{JobResult, Message, Slot};
+use super::{ClipCounts, RunOptions, RunSummary, UnitCounts, UnitFailure};
+use crate::error::{Error, Result, io};
+use crate::exit::Exit;
+use crate::ledger::{Ledger, costs, read_all};
+use crate::lock::RunLock;
+use crate::plan::{Plan, Unit};
+use crate::state::{OutputState, output_state};
+
+/// Units of one stage that a slot takes in a row before it changes to a stage deeper in the pipeline: few enough to
+/// see whole clips early, enough that starting workers and loading weights costs nothing.
+const STREAK: usize = 16;
+
+/// What a worker is expected to take before anything is known, bytes.
+const UNKNOWN_MEMORY: u64 = 512 << 20;
+
+/// Runs what is not up to date. Takes the lock of the run folder, freezes the plan into it, and notes every attempt.
+/// Failures of clips are part of the summary.
+///
+/// # Errors
+/// When the run folder is in use or cannot be written, or a stage program cannot be started.
+pub fn execute(plan: &Plan, options: &RunOptions) -> Result<RunSummary> {
+    let start = Instant::now();
+    let _lock = RunLock::acquire(&plan.run)?;
+    plan.freeze()?;
+    let states = plan.states();
+    sweep(plan, &states)?;
+    let (tell, hear) = channel();
+    let run = std::thread::scope(|scope| {
+        let slots = (0..options.workers)
+            .map(|number| Slot::start(scope, number, options, tell.clone()))
+            .collect();
+        let mut schedule = Schedule::new(plan, options, &states, slots)?;
+        let result = schedule.run(&hear);
+        // Dropping the slots ends their threads, and those their workers.
+        schedule.slots.clear();
+        result.map(|()| schedule.summary(start))
+    });
+    run
+}
+
+/// Removes what killed writers left behind, in the folders of clips that are not done.
+fn sweep(plan: &Plan, states: &[Vec<OutputState>]) -> Result<()> {
+    for (clip, states) in states.iter().enumerate() {
+        let folder = plan.clip_folder(clip);
+        if states.iter().all(|state| *state == OutputState::UpToDate) || !folder.is_dir() {
+            continue;
+        }
+        rogs_schemas::atomic::sweep(&folder)?;
+        for entry in std::fs::read_dir(&folder)
+            .map_err(io("cannot list", &folder))?
+            .flatten()
+        {
+            if entry.path().is_dir() {
+                rogs_schemas::atomic::sweep(&entry.path())?;
+            }
+        }
+    }
+    Ok(())
+}
+
+struct Schedule<'a> {
+    plan: &'a Plan,
+    options: &'a RunOptions,
+    queue: Queue<'a>,
+    slots: Vec<Slot>,
+    ledger: Ledger,
+    display: Display,
+    /// Units in hand by job number.
+    running: HashMap<u64, Unit>,
+    attempts: HashMap<Unit, u8>,
+    /// Largest peak memory by stage, bytes.
+    memory: HashMap<String, u64>,
+    failures: Vec<UnitFailure>,
+    warnings: Vec<String>,
+    next_job: u64,
+    alone: bool,
+}
+
+impl<'a> Schedule<'a> {
+    fn new(plan: &'a Plan, options: &'a RunOptions, states: &[Vec<OutputState>], slots: Vec<Slot>) -> Result<Self> {
+        let queue = Queue::new(plan, states, options.only.as_deref());
+        let todo = queue.cells().iter().filter(|&&cell| cell == Cell::Waiting).count();
+        let mut memory: HashMap<String, u64> = options
+            .stage_memory
+            .iter()
+            .map(|(stage, &bytes)| (stage.clone(), bytes))
+            .collect();
+        for (stage, cost) in costs(&read_all(&plan.run)?) {
+            memory.insert(stage, cost.peak_rss_bytes);
+        }
+        Ok(Self {
+            plan,
+            options,
+            queue,
+            display: Display::new(options.progress, todo, slots.len()),
+            slots,
+            ledger: Ledger::new(&plan.run),
+            running: HashMap::new(),
+            attempts: HashMap::new(),
+            memory,
+            failures: Vec::new(),
+            warnings: Vec::new(),
+            next_job: 0,
+            alone: false,
+        })
+    }
+
+    fn run(&mut self, hear: &Receiver<Message>) -> Result<()> {
+        let mut told = false;
+        loop {
+            let stopping = self.options.interrupts.count() > 0;
+            if stopping && !told {
+                told = true;
+                self.display
+                    .note("stopping: clips in hand may finish; press Ctrl-C again to stop at once");
+            }
+            if !stopping {
+                self.assign()?;
+            }
+            if self.running.is_empty() && (stopping || self.queue.is_empty()) {
+                return Ok(());
+            }
+            match hear.recv_timeout(Duration::from_millis(200)) {
+                Ok(Message::Progress {
+                    slot,
+                    fraction,
+                    message,
+                }) => self.display.progress(slot, fraction, &message),
+                Ok(Message::Ended { slot, job, result }) => {
+                    self.slots[slot].running = None;
+                    self.display.idle(slot);
+                    if let Some(unit) = self.running.remove(&job) {
+                        self.ended(unit, result)?;
+                    }
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return Err(Error::usage("all worker slots have ended")),
+            }
+        }
+    }
+
+    fn expected_memory(&self, stage: &str) -> u64 {
+        self.memory.get(stage).copied().unwrap_or(UNKNOWN_MEMORY)
+    }
+
+    /// Gives every idle slot a unit, as far as memory goes. One unit always runs, however large.
+    fn assign(&mut self) -> Result<()> {
+        for number in 0..self.slots.len() {
+            if self.slots[number].running.is_some() || self.alone {
+                continue;
+            }
+            let used: u64 = self.slots.iter().filter_map(|slot| slot.running).sum();
+            let fits = |stage: &str| {
+                self.running.is_empty() || used.saturating_add(self.expected_memory(stage)) <= self.options.memory
+            };
+            let slot = &self.slots[number];
+            let (stage, stay) = (slot.stage.clone(), slot.streak < STREAK);
+            // The closure borrows what `take` changes nothing of.
+            let memory: HashMap<&str, bool> = self
+                .plan
+                .nodes
+                .iter()
+                .map(|node| (node.stage.as_str(), fits(&node.stage)))
+                .collect();
+            let unit = self.queue.take(stage.as_deref(), stay, |stage| {
+                memory.get(stage).copied().unwrap_or(true)
+            });
+            let unit = unit.or_else(|| {
+                let unit = self.running.is_empty().then(|| self.queue.take_alone()).flatten();
+                self.alone = unit.is_some();
+                unit
+            });
+            if let Some(unit) = unit {
+                self.start(number, unit)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn start(&mut self, slot: usize, unit: Unit) -> Result<()> {
+        let keys = self.plan.keys(unit.clip);
+        let job = self.plan.job(self.next_job, unit, &keys);
+        self.next_job += 1;
+        if let Some(folder) = job.output.parent() {
+            std::fs::create_dir_all(folder).map_err(io("cannot make the folder", folder))?;
+        }
+        self.running.insert(job.job, unit);
+        let node = &self.plan.nodes[unit.node];
+        self.display.start(slot, &job.clip_id, &node.label);
+        let memory = self.expected_memory(&node.stage);
+        self.slots[slot].assign(&node.stage, job, memory);
+        Ok(())
+    }
+
+    fn ended(&mut self, unit: Unit, mut result: JobResult) -> Result<()> {
+        self.alone = false;
+        if let Some(error) = result.fatal.take() {
+            return Err(error);
+        }
+        let keys = self.plan.keys(unit.clip);
+        let output = self.plan.output(unit, &keys);
+        let path = self.plan.run.join(&output);
+        if result.outcome == Outcome::Done && output_state(&path, keys[unit.node].key) != OutputState::UpToDate {
+            // Truth is in the outputs, whatever a worker says.
+            result.outcome = Outcome::Failed;
+            result.failure = Some(Failure {
+                code: FailureCode::Internal,
+                message: format!("the worker says done, but `{}` is not up to date", path.display()),
+                hint: Some("does another process change the run folder?".to_owned()),
+            });
+        }
+        let node = &self.plan.nodes[unit.node];
+        let clip = &self.plan.clips[unit.clip];
+        let attempt = Attempt {
+            unix_ms: SystemTime::now()
+                .duration_since(UNIX_EPOCH)
+                .map_or(0, |time| time.as_millis() as u64),
+            clip_id: clip.id.clone(),
+            stage: node.stage.clone(),
+            output,
+            key: keys[unit.node].key,
+            outcome: result.outcome,
+            seconds: result.seconds,
+            peak_rss_bytes: result.peak_rss_bytes,
+            output_bytes: if result.outcome == Outcome::Done {
+                std::fs::metadata(&path).map_or(0, |file| file.len())
+            } else {
+                0
+            },
+            warnings: result.warnings,
+            failure: result.failure,
+            stderr: result.stderr,
+            worker: self.ledger.worker().to_owned(),
+        };
+        self.ledger.note(&attempt)?;
+        match attempt.outcome {
+            Outcome::Stopped => self.queue.stopped(unit),
+            Outcome::Done => {
+                let known = self.memory.entry(node.stage.clone()).or_default();
+                *known = (*known).max(attempt.peak_rss_bytes);
+                self.queue.made(unit);
+                let seconds = attempt.seconds.get("total").copied().unwrap_or_default();
+                self.display.done(&clip.id, &node.label, seconds);
+                for warning in &attempt.warnings {
+                    let text = format!("{} {}: {warning}", clip.id, node.label);
+                    self.display.warn(&text);
+                    self.warnings.push(text);
+                }
+            }
+            Outcome::Failed => self.failed(unit, attempt.failure),
+        }
+        Ok(())
+    }
+
+    fn failed(&mut self, unit: Unit, failure: Option<Failure>) {
+        let (clip, node) = (&self.plan.clips[unit.clip], &self.plan.nodes[unit.node]);
+        let unknown = || Failure {
+            code: FailureCode::Internal,
+            message: "no reason given".into(),
+            hint: None,
+        };
+        let failure = failure.unwrap_or_else(unknown);
+        let attempts = self.attempts.entry(unit).or_default();
+        *attempts += 1;
+        match retry(&failure, *attempts) {
+            Retry::No => {
+                let blocked = self.queue.failed(unit);
+                let failure = UnitFailure {
+                    clip: clip.id.clone(),
+                    episode: clip.episode.clone(),
+                    node: node.label.clone(),
+                    code: failure.code,
+                    message: failure.message,
+                    hint: failure.hint,
+                    blocks: blocked
+                        .iter()
+                        .map(|&node| self.plan.nodes[node].label.clone())
+                        .collect(),
+                };
+                self.display.failed(&failure, 1 + blocked.len());
+                self.failures.push(failure);
+            }
+            retry => {
+                let alone = retry == Retry::Alone;
+                let how = if alone { " alone" } else { "" };
+                self.display.note(&format!(
+                    "{} {}: {}; trying again{how}",
+                    clip.id, node.label, failure.message
+                ));
+                self.queue.again(unit, alone);
+            }
+        }
+    }
+
+    fn summary(&mut self, start: Instant) -> RunSummary {
+        self.display.finish();
+        let mut units = UnitCounts {
+            total: self.queue.cells().len(),
+            ..UnitCounts::default()
+        };
+        for cell in self.queue.cells() {
+            match cell {
+                Cell::UpToDate => units.up_to_date += 1,
+                Cell::Made => units.made += 1,
+                Cell::Failed => units.failed += 1,
+                Cell::Blocked => units.blocked += 1,
+                Cell::Waiting | Cell::Running => units.left += 1,
+            }
+        }
+        let mut clips = ClipCounts {
+            total: self.plan.clips.len(),
+            ..ClipCounts::default()
+        };
+        for cells in self.queue.cells().chunks(self.plan.nodes.len().max(1)) {
+            if cells.contains(&Cell::Failed) {
+                clips.failed += 1;
+            } else if cells.iter().all(|cell| matches!(cell, Cell::UpToDate | Cell::Made)) {
+                clips.done += 1;
+            } else {
+                clips.left += 1;
+            }
+        }
+        let stopped = self.options.interrupts.count() > 0 && units.left > 0;
+        let exit = match (stopped, units.failed) {
+            (true, _) => Exit::Stopped,
+            (false, 0) => Exit::Done,
+            (false, _) if clips.done > 0 || clips.left > 0 => Exit::Partial,
+            _ => Exit::Failed,
+        };
+        let mut failures = std::mem::take(&mut self.failures);
+        failures.sort_by(|a, b| (&a.clip, &a.node).cmp(&(&b.clip, &b.node)));
+        RunSummary {
+            name: self.plan.name.clone(),
+            run: self.plan.run.clone(),
+            exit,
+            units,
+            clips,
+            failures,
+            warnings: std::mem::take(&mut self.warnings),
+            seconds: start.elapsed().as_secs_f64(),
+        }
+    }
+}

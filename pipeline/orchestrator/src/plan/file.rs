@@ -1,0 +1,96 @@
+//! `plan.jsonl`: a header line, then one line a clip.
+
+use std::io::{BufRead, BufReader, BufWriter, Write};
+use std::path::Path;
+
+use super::{Clip, PLAN_FORMAT, Plan};
+use crate::error::{Error, Result, io};
+
+/// Name of the plan in a run folder.
+pub const PLAN_FILE: &str = "plan.jsonl";
+
+impl Plan {
+    /// Writes the plan to its run folder, whole or not at all.
+    ///
+    /// # Errors
+    /// When the folder cannot be made or written.
+    pub fn freeze(&self) -> Result<()> {
+        std::fs::create_dir_all(&self.run).map_err(io("cannot make the run folder", &self.run))?;
+        let fill = |file: &mut std::fs::File| {
+            let mut out = BufWriter::new(file);
+            serde_json::to_writer(&mut out, self)?;
+            for clip in &self.clips {
+                out.write_all(b"\n")?;
+                serde_json::to_writer(&mut out, clip)?;
+            }
+            out.write_all(b"\n")?;
+            out.flush()
+        };
+        Ok(rogs_schemas::atomic::write_with(&self.run.join(PLAN_FILE), fill)?)
+    }
+}
+
+/// Reads the plan of a run folder.
+///
+/// # Errors
+/// When the folder has none, or it is damaged or of another version.
+pub fn read_plan(run: &Path) -> Result<Plan> {
+    let path = run.join(PLAN_FILE);
+    let file = std::fs::File::open(&path).map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound => {
+            Error::usage(format!("`{}` is no run folder: it has no {PLAN_FILE}", run.display()))
+                .with_hint("name the `out` folder of a manifest that has been run or planned")
+        }
+        _ => io("cannot read", &path)(error),
+    })?;
+    let damaged = |line: usize, why: &dyn std::fmt::Display| {
+        Error::usage(format!("`{}` is damaged at line {line}: {why}", path.display()))
+            .with_hint("make it again: run the manifest (nothing that is done is lost)")
+    };
+    let mut lines = BufReader::new(file).lines();
+    let header = lines
+        .next()
+        .ok_or_else(|| damaged(1, &"it is empty"))?
+        .map_err(io("cannot read", &path))?;
+    let mut plan: Plan = serde_json::from_str(&header).map_err(|error| damaged(1, &error))?;
+    if plan.format != PLAN_FORMAT {
+        return Err(damaged(
+            1,
+            &format!("format `{}`, expected `{PLAN_FORMAT}`", plan.format),
+        ));
+    }
+    plan.run = std::path::absolute(run).map_err(io("cannot find", run))?;
+    for (index, line) in lines.enumerate() {
+        let line = line.map_err(io("cannot read", &path))?;
+        let clip: Clip = serde_json::from_str(&line).map_err(|error| damaged(index + 2, &error))?;
+        let known = (clip.root as usize) < plan.roots.len()
+            && clip
+                .calibration
+                .is_none_or(|index| (index as usize) < plan.calibrations.len())
+            && crate::manifest::is_safe_name(&clip.id);
+        if !known {
+            return Err(damaged(index + 2, &"a clip with an unsafe name or an unknown root"));
+        }
+        plan.clips.push(clip);
+    }
+    plan.check_nodes().map_err(|why| damaged(1, &why))?;
+    Ok(plan)
+}
+
+impl Plan {
+    /// Nothing in a plan file may lead out of the run folder or out of its own tables.
+    fn check_nodes(&self) -> std::result::Result<(), String> {
+        for (index, node) in self.nodes.iter().enumerate() {
+            if !crate::manifest::is_safe_name(&node.file) || !crate::manifest::is_safe_name(&node.stage) {
+                return Err(format!("node `{}` has an unsafe name", node.label));
+            }
+            if self.upstream(index).any(|upstream| upstream >= index) {
+                return Err(format!("node `{}` reads from a node after it", node.label));
+            }
+            if node.variants.iter().any(|&variant| variant >= self.variants.len()) {
+                return Err(format!("node `{}` is of an unknown variant", node.label));
+            }
+        }
+        Ok(())
+    }
+}

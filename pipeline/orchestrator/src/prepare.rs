@@ -1,0 +1,76 @@
+//! From a manifest file to a plan that can be run.
+
+use std::path::Path;
+
+use crate::error::Result;
+use crate::executor::RunOptions;
+use crate::manifest::Manifest;
+use crate::plan::{PLAN_FILE, Plan, make_plan, read_plan};
+use crate::programs::StagePrograms;
+use crate::sources::SourceCache;
+
+/// Name of the manifest's copy in a run folder.
+pub const MANIFEST_FILE: &str = "manifest.toml";
+
+/// Name of the remembered source hashes in a run folder.
+pub const SOURCES_FILE: &str = "sources.json";
+
+/// A manifest with its plan.
+#[derive(Debug, Clone)]
+pub struct Prepared {
+    /// The manifest, paths absolute.
+    pub manifest: Manifest,
+    /// Its text as it was read.
+    pub text: String,
+    /// The plan.
+    pub plan: Plan,
+    /// How to run it on this machine; change what the command line says otherwise.
+    pub options: RunOptions,
+}
+
+impl Prepared {
+    /// Reads a manifest (or the one in a run folder), asks the stage programs, hashes sources, and plans. Writes nothing
+    /// but the cache of source hashes in the run folder, and that only when the folder is there already.
+    ///
+    /// `programs` are used when the manifest names none of its own; see [`StagePrograms::this_program`].
+    ///
+    /// # Errors
+    /// When the manifest is wrong, a source is missing, or a stage program does not answer.
+    pub fn load(path: &Path, programs: StagePrograms) -> Result<Self> {
+        let in_run = path.join(PLAN_FILE);
+        let path = if in_run.is_file() {
+            read_plan(path)?.manifest
+        } else {
+            path.to_owned()
+        };
+        let (manifest, text) = Manifest::load(&path)?;
+        let programs = manifest
+            .executor
+            .programs
+            .clone()
+            .map_or(programs, StagePrograms::Directory);
+        let cache_file = manifest.run.out.join(SOURCES_FILE);
+        let sources = SourceCache::open(&cache_file);
+        let plan = make_plan(&manifest, &text, &programs, &sources)?;
+        if manifest.run.out.is_dir() {
+            sources.save()?;
+        }
+        let options = RunOptions::of(&manifest, programs);
+        Ok(Self {
+            manifest,
+            text: text.text,
+            plan,
+            options,
+        })
+    }
+
+    /// Runs what is not up to date: [`crate::executor::execute`], with a copy of the manifest in the run folder.
+    ///
+    /// # Errors
+    /// See [`crate::executor::execute`].
+    pub fn run(&self) -> Result<crate::executor::RunSummary> {
+        let summary = crate::executor::execute(&self.plan, &self.options)?;
+        rogs_schemas::atomic::write_bytes(&self.plan.run.join(MANIFEST_FILE), self.text.as_bytes())?;
+        Ok(summary)
+    }
+}

@@ -1,0 +1,270 @@
+//! What is done, what failed, what is left: from the plan, the outputs and the ledgers.
+
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+use rogs_schemas::ledger::{Failure, Outcome};
+use serde::Serialize;
+
+use crate::error::Result;
+use crate::exit::Exit;
+use crate::ledger::{last_by_output, read_all};
+use crate::lock::LOCK_FILE;
+use crate::plan::{Plan, Unit, read_plan};
+use crate::state::OutputState;
+
+/// State of a unit for people.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum UnitState {
+    /// Up to date.
+    Done,
+    /// Not there, and nothing is in its way.
+    Todo,
+    /// There, but made from something else.
+    Stale,
+    /// There, but not whole.
+    Damaged,
+    /// The last attempt at it failed.
+    Failed,
+    /// Something it needs failed.
+    Blocked,
+}
+
+/// State of a run.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Status {
+    /// Version of this value.
+    pub format: &'static str,
+    /// Name of the run.
+    pub name: String,
+    /// The run folder.
+    pub run: PathBuf,
+    /// True while a process works in it.
+    pub active: bool,
+    /// What the run comes to as it is now.
+    pub exit: Exit,
+    /// Clips that are done, failed, all.
+    pub clips: StatusClips,
+    /// Per node of the plan.
+    pub nodes: Vec<NodeStatus>,
+    /// Failures.
+    pub failures: Vec<StatusFailure>,
+    /// Per clip, the state of each node.
+    pub units: Vec<ClipStatus>,
+}
+
+/// Clips by state.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct StatusClips {
+    /// All.
+    pub total: usize,
+    /// Every unit is done.
+    pub done: usize,
+    /// At least one unit failed or is damaged.
+    pub failed: usize,
+}
+
+/// Units of one node by state.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct NodeStatus {
+    /// The node, for example `lift`.
+    pub node: String,
+    /// Units that are done.
+    pub done: usize,
+    /// Units to do, stale and damaged ones among them.
+    pub todo: usize,
+    /// Units that failed.
+    pub failed: usize,
+    /// Units that are blocked.
+    pub blocked: usize,
+}
+
+/// A failure.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct StatusFailure {
+    /// The clip.
+    pub clip: String,
+    /// The node.
+    pub node: String,
+    /// Why.
+    #[serde(flatten)]
+    pub failure: Failure,
+}
+
+/// The units of one clip.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct ClipStatus {
+    /// The clip.
+    pub clip: String,
+    /// States in the order of [`Status::nodes`].
+    pub states: Vec<UnitState>,
+}
+
+/// Looks at a run folder.
+///
+/// # Errors
+/// When it is none, or cannot be read.
+pub fn status(run: &Path) -> Result<Status> {
+    Ok(status_of(&read_plan(run)?)?.0)
+}
+
+/// The status of a plan, and the plain states of its outputs.
+///
+/// # Errors
+/// When the run folder cannot be read.
+pub fn status_of(plan: &Plan) -> Result<(Status, Vec<Vec<OutputState>>)> {
+    let last = last_by_output(read_all(&plan.run)?);
+    let states = plan.states();
+    let units: Vec<(Vec<UnitState>, Vec<StatusFailure>)> = (0..plan.clips.len())
+        .into_par_iter()
+        .map(|clip| {
+            let (mut units, mut failures) = (Vec::with_capacity(plan.nodes.len()), Vec::new());
+            // Most clips of most runs are done: then nothing else has to be known.
+            if states[clip].iter().all(|state| *state == OutputState::UpToDate) {
+                return (vec![UnitState::Done; plan.nodes.len()], failures);
+            }
+            let keys = plan.keys(clip);
+            for node in 0..plan.nodes.len() {
+                let output = plan.output(Unit { clip, node }, &keys);
+                let attempt = last
+                    .get(&(output, keys[node].key))
+                    .filter(|attempt| attempt.outcome == Outcome::Failed);
+                let blocked = plan
+                    .upstream(node)
+                    .any(|upstream| matches!(units[upstream], UnitState::Failed | UnitState::Blocked));
+                units.push(match (&states[clip][node], attempt) {
+                    (OutputState::UpToDate, _) => UnitState::Done,
+                    (_, Some(attempt)) => {
+                        if let Some(failure) = &attempt.failure {
+                            let (clip, node) = (plan.clips[clip].id.clone(), plan.nodes[node].label.clone());
+                            failures.push(StatusFailure {
+                                clip,
+                                node,
+                                failure: failure.clone(),
+                            });
+                        }
+                        UnitState::Failed
+                    }
+                    _ if blocked => UnitState::Blocked,
+                    (OutputState::Stale(_), None) => UnitState::Stale,
+                    (OutputState::Damaged(_), None) => UnitState::Damaged,
+                    (OutputState::Missing, None) => UnitState::Todo,
+                });
+            }
+            (units, failures)
+        })
+        .collect();
+    Ok((summarise(plan, units), states))
+}
+
+fn summarise(plan: &Plan, units: Vec<(Vec<UnitState>, Vec<StatusFailure>)>) -> Status {
+    let count = |node: usize, wanted: &[UnitState]| {
+        units
+            .iter()
+            .filter(|(states, _)| wanted.contains(&states[node]))
+            .count()
+    };
+    let nodes: Vec<NodeStatus> = (0..plan.nodes.len())
+        .map(|node| NodeStatus {
+            node: plan.nodes[node].label.clone(),
+            done: count(node, &[UnitState::Done]),
+            todo: count(node, &[UnitState::Todo, UnitState::Stale, UnitState::Damaged]),
+            failed: count(node, &[UnitState::Failed]),
+            blocked: count(node, &[UnitState::Blocked]),
+        })
+        .collect();
+    let done = units
+        .iter()
+        .filter(|(states, _)| states.iter().all(|state| *state == UnitState::Done))
+        .count();
+    let failed = units
+        .iter()
+        .filter(|(states, _)| states.contains(&UnitState::Failed))
+        .count();
+    let total = units.len();
+    let exit = match (done, failed) {
+        (done, 0) if done == total => Exit::Done,
+        (_, 0) => Exit::Stopped,
+        (done, failed) if done > 0 || failed < total => Exit::Partial,
+        _ => Exit::Failed,
+    };
+    let mut failures = Vec::new();
+    let mut clips = Vec::with_capacity(total);
+    for ((states, own), clip) in units.into_iter().zip(&plan.clips) {
+        failures.extend(own);
+        clips.push(ClipStatus {
+            clip: clip.id.clone(),
+            states,
+        });
+    }
+    Status {
+        format: "rogs-status 1",
+        name: plan.name.clone(),
+        run: plan.run.clone(),
+        active: is_active(&plan.run),
+        exit,
+        clips: StatusClips { total, done, failed },
+        nodes,
+        failures,
+        units: clips,
+    }
+}
+
+/// True while another process holds the lock of the run folder.
+fn is_active(run: &Path) -> bool {
+    let file = std::fs::File::open(run.join(LOCK_FILE));
+    file.is_ok_and(|file| matches!(file.try_lock_shared(), Err(std::fs::TryLockError::WouldBlock)))
+}
+
+impl Status {
+    /// The status as a table for people.
+    #[must_use]
+    pub fn table(&self) -> String {
+        use std::fmt::Write as _;
+        let mut out = String::new();
+        let StatusClips { total, done, failed } = self.clips;
+        let active = if self.active { ", a process is at work" } else { "" };
+        let _ = writeln!(
+            out,
+            "{}: {done} of {total} clips done, {failed} failed{active}",
+            self.name
+        );
+        let width = self
+            .nodes
+            .iter()
+            .map(|node| node.node.chars().count())
+            .max()
+            .unwrap_or(5)
+            .max(5);
+        let _ = writeln!(
+            out,
+            "{:width$}  {:>7} {:>7} {:>7} {:>7}",
+            "stage", "done", "to do", "failed", "blocked"
+        );
+        for node in &self.nodes {
+            let NodeStatus {
+                node,
+                done,
+                todo,
+                failed,
+                blocked,
+            } = node;
+            let _ = writeln!(out, "{node:width$}  {done:>7} {todo:>7} {failed:>7} {blocked:>7}");
+        }
+        for failure in self.failures.iter().take(20) {
+            let _ = writeln!(
+                out,
+                "failed: {} {}: {}",
+                failure.clip, failure.node, failure.failure.message
+            );
+            if let Some(hint) = &failure.failure.hint {
+                let _ = writeln!(out, "  hint: {hint}");
+            }
+        }
+        if self.failures.len() > 20 {
+            let _ = writeln!(out, "... and {} more failures", self.failures.len() - 20);
+        }
+        out
+    }
+}
