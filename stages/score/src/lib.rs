@@ -4,8 +4,14 @@
 //! [`Score`] is the stage that renders those predictions from a field. Nothing in the measures depends on how the
 //! predictions were made, so that outside methods are scored by the same code.
 
+//! [`summary`] and [`tables`] turn score sheets into the paper's tables; [`cohort`] selects the episodes.
+
+pub mod cohort;
 pub mod measure;
 pub mod metrics;
 mod stage;
+pub mod summary;
+pub mod tables;
+pub mod timing;
 
 pub use stage::{KeepRenders, Score, ScoreParams, Setting};

@@ -335,7 +335,7 @@ impl ViewRender {
             rgb: self
                 .rgb
                 .iter()
-                .map(|value| (value.max(0.0).min(1.0) * 255.0).round() as u8)
+                .map(|value| (value.clamp(0.0, 1.0) * 255.0).round() as u8)
                 .collect(),
             depth_m: self.depth_m,
         }

@@ -30,7 +30,7 @@ pub fn depth_support(reference: &[f32], range_m: [f32; 2]) -> Vec<bool> {
 /// The part of a support with reference depths in [`FAR_RANGE_M`].
 #[must_use]
 pub fn far_support(reference: &[f32], support: &[bool]) -> Vec<bool> {
-    let far = |depth: f32| depth >= FAR_RANGE_M[0] && depth <= FAR_RANGE_M[1];
+    let far = |depth: f32| (FAR_RANGE_M[0]..=FAR_RANGE_M[1]).contains(&depth);
     reference
         .iter()
         .zip(support)
