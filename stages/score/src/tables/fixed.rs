@@ -18,7 +18,8 @@ pub(crate) fn table(id: TableId, set: &SheetSet<'_>, input: &TableInput<'_>, opt
 }
 
 fn cohort(counts: Option<&CohortCounts>, options: TableOptions) -> Table {
-    let stages: [(&str, fn(&CohortCounts) -> usize); 5] = [
+    type Stage = (&'static str, fn(&CohortCounts) -> usize);
+    let stages: [Stage; 5] = [
         ("reserved episodes of ILIAD and PennPAL", |counts| counts.reserved),
         ("with a prepared clip and stereo references", |counts| counts.cached),
         ("represented in the PointWorld test manifest", |counts| {
@@ -27,7 +28,7 @@ fn cohort(counts: Option<&CohortCounts>, options: TableOptions) -> Table {
         ("eligible", |counts| counts.eligible),
         ("fixed-seed sample", |counts| counts.selected),
     ];
-    let row = |(label, count): (&str, fn(&CohortCounts) -> usize)| Row {
+    let row = |(label, count): Stage| Row {
         group: String::new(),
         label: label.to_owned(),
         method: String::new(),
