@@ -46,7 +46,11 @@ impl Stage for Refine {
     type Params = RefineParams;
 
     fn inputs() -> Vec<InputDescription> {
-        let input = |role: &str, required: bool, kind: &str| InputDescription { role: role.into(), required, kind: kind.into() };
+        let input = |role: &str, required: bool, kind: &str| InputDescription {
+            role: role.into(),
+            required,
+            kind: kind.into(),
+        };
         vec![
             input("clip", true, Clip::SCHEMA.name),
             input("robot", true, RobotMaps::SCHEMA.name),
@@ -59,7 +63,11 @@ impl Stage for Refine {
     fn load(params: &RefineParams, inputs: &BTreeMap<String, PathBuf>) -> StageResult<Self> {
         let weights = inputs.get("weights").cloned();
         let network = load_refiner(params, weights.as_deref())?;
-        Ok(Self { params: params.clone(), network, weights })
+        Ok(Self {
+            params: params.clone(),
+            network,
+            weights,
+        })
     }
 
     fn run(&mut self, context: &mut Context<'_>) -> StageResult<()> {
@@ -78,11 +86,21 @@ impl Stage for Refine {
             Some(_) => Some(context.read("resume")?),
             None => None,
         };
-        let field_key = context.input_key("field").ok_or_else(|| StageError::internal("the job does not name the field's key"))?;
-        let inputs = ClipInputs { clip: &clip, robot: &robot, field: &field, field_key, resume: resume.as_ref() };
+        let field_key = context
+            .input_key("field")
+            .ok_or_else(|| StageError::internal("the job does not name the field's key"))?;
+        let inputs = ClipInputs {
+            clip: &clip,
+            robot: &robot,
+            field: &field,
+            field_key,
+            resume: resume.as_ref(),
+        };
         let (network, params) = (&self.network, &self.params);
         let refinement = context.timed("refine", |context| {
-            refine(inputs, network, params, &mut |fraction, message| context.progress(fraction, message))
+            refine(inputs, network, params, &mut |fraction, message| {
+                context.progress(fraction, message)
+            })
         })?;
         context.write(&refinement)
     }

@@ -55,10 +55,15 @@ impl RefineParams {
         let config = RefinerConfig::preset(&self.preset).map_err(|error| StageError::bad_params(error.to_string()))?;
         let updates = self.updates.unwrap_or(config.updates);
         if updates > MOST_UPDATES {
-            return Err(StageError::bad_params(format!("`updates` must be at most {MOST_UPDATES}: {updates}")));
+            return Err(StageError::bad_params(format!(
+                "`updates` must be at most {MOST_UPDATES}: {updates}"
+            )));
         }
         if !(self.epsilon.is_finite() && self.epsilon >= 0.0) {
-            return Err(StageError::bad_params(format!("`epsilon` must be a number of pixels, not negative: {}", self.epsilon)));
+            return Err(StageError::bad_params(format!(
+                "`epsilon` must be a number of pixels, not negative: {}",
+                self.epsilon
+            )));
         }
         Ok((config, updates))
     }
@@ -71,12 +76,32 @@ mod tests {
     #[test]
     fn null_updates_mean_those_of_the_preset() {
         for (preset, expected) in [("ci", 2), ("cpu", 2), ("paper", 4)] {
-            let params = RefineParams { preset: preset.into(), ..RefineParams::default() };
+            let params = RefineParams {
+                preset: preset.into(),
+                ..RefineParams::default()
+            };
             assert_eq!(params.resolve().unwrap().1, expected);
         }
-        let wrong = RefineParams { preset: "big".into(), ..RefineParams::default() };
+        let wrong = RefineParams {
+            preset: "big".into(),
+            ..RefineParams::default()
+        };
         assert!(wrong.resolve().unwrap_err().message.contains("paper, cpu, ci"));
-        assert!(RefineParams { updates: Some(65), ..RefineParams::default() }.resolve().is_err());
-        assert!(RefineParams { epsilon: f32::NAN, ..RefineParams::default() }.resolve().is_err());
+        assert!(
+            RefineParams {
+                updates: Some(65),
+                ..RefineParams::default()
+            }
+            .resolve()
+            .is_err()
+        );
+        assert!(
+            RefineParams {
+                epsilon: f32::NAN,
+                ..RefineParams::default()
+            }
+            .resolve()
+            .is_err()
+        );
     }
 }

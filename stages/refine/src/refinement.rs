@@ -68,10 +68,15 @@ pub fn refine(
             .and_then(|field| field.with_correction(&stored, params.scale_residual))
             .map_err(bad_field)?;
         for (time, state) in times.iter().zip(&mut recurrence.states) {
-            let message = format!("update {} of {updates}, source frame {}", recurrence.update + 1, time.frame);
-            report(0.02 + 0.97 * done / total, &message);
+            let update = recurrence.update + 1;
+            let mut phase = |share: f64, what: &str| {
+                let message = format!("update {update} of {updates}, source frame {}: {what}", time.frame);
+                report(0.02 + 0.97 * (done + share) / total, &message);
+            };
+            phase(0.0, "render");
             let scene = corrected.gaussians(time.slice.time).map_err(bad_field)?;
-            update_source_time(&inputs, network, params, time, scene, &before, &mut recurrence.correction, state)?;
+            let after = &mut recurrence.correction;
+            update_source_time(&inputs, network, params, time, scene, &before, after, state, &mut phase)?;
             done += 1.0;
         }
         recurrence.update += 1;
@@ -85,7 +90,12 @@ pub fn refine(
 /// The state before the first update.
 fn beginning(field: &Field, network: &LoadedRefiner, times: &[SourceTime<'_>]) -> StageResult<Recurrence> {
     let (height, width) = (field.height as usize, field.width as usize);
-    let state = |time: &SourceTime<'_>| network.refiner.initial_state(&time.maps, height, width).map_err(internal);
+    let state = |time: &SourceTime<'_>| {
+        network
+            .refiner
+            .initial_state(&time.maps, height, width)
+            .map_err(internal)
+    };
     Ok(Recurrence {
         update: 0,
         correction: Correction::zero(field.len()),
@@ -105,19 +115,45 @@ fn update_source_time(
     before: &Correction,
     after: &mut Correction,
     state: &mut [f32],
+    phase: &mut dyn FnMut(f64, &str),
 ) -> StageResult<()> {
     let refiner = &network.refiner;
     let area = time.grid.area();
-    let owned = Eligible::Ranges(time.grid.views().iter().map(|&view| view * area..(view + 1) * area).collect());
+    let owned = Eligible::Ranges(
+        time.grid
+            .views()
+            .iter()
+            .map(|&view| view * area..(view + 1) * area)
+            .collect(),
+    );
     let (renders, contributions) =
         render_views_with_contributions(&scene, &time.cameras, &RasterConfig::default(), &owned).map_err(internal)?;
     drop(scene);
     let renders: Vec<Plane> = renders
         .into_iter()
-        .map(|render| Plane { height: render.height, width: render.width, channels: 3, data: render.rgb })
+        .map(|render| Plane {
+            height: render.height,
+            width: render.width,
+            channels: 3,
+            data: render.rgb,
+        })
         .collect();
-    let errors = refiner.encoder().forward(&renders, &time.observed, &time.maps).map_err(internal)?;
-    let (set, mass) = token_set(inputs.field, params, refiner.config().features(), time, before, &contributions, errors)?;
+    phase(0.2, "error features");
+    let errors = refiner
+        .encoder()
+        .forward(&renders, &time.observed, &time.maps)
+        .map_err(internal)?;
+    phase(0.6, "pooling");
+    let (set, mass) = token_set(
+        inputs.field,
+        params,
+        refiner.config().features(),
+        time,
+        before,
+        &contributions,
+        errors,
+    )?;
+    phase(0.7, "updater");
     let tokens = set.tokens.clone();
     let residuals = refiner.update(&time.grid, set, state).map_err(internal)?;
     let width = refiner.config().residuals();
@@ -152,7 +188,11 @@ fn token_set(
     let mut set = TokenSet::default();
     let per_token = time.grid.per_token();
     for token in 0..time.grid.len() {
-        let rows = || time.grid.gaussians(token).map(|gaussian| row_of(contributions, gaussian));
+        let rows = || {
+            time.grid
+                .gaussians(token)
+                .map(|gaussian| row_of(contributions, gaussian))
+        };
         let total: f32 = rows().map(|row| mass[row]).sum();
         if total <= params.epsilon || total.is_nan() {
             continue;
@@ -177,7 +217,8 @@ fn token_set(
             before.attributes(gaussian, centre, raw, params.scale_residual, out);
             if member == 0 {
                 let corrected = [out[0], out[1], out[2]];
-                set.positions.push(if params.recompute_knn { corrected } else { centre });
+                set.positions
+                    .push(if params.recompute_knn { corrected } else { centre });
             }
         }
     }
@@ -198,7 +239,11 @@ fn stage1_centre(field: &Field, time: &SourceTime<'_>, gaussian: usize) -> [f32;
 /// A correction as it is stored.
 pub(crate) fn step(update: u32, correction: &Correction) -> RefinementStep {
     let (touched, values) = correction.to_touched();
-    RefinementStep { update, touched, values }
+    RefinementStep {
+        update,
+        touched,
+        values,
+    }
 }
 
 fn record(
@@ -208,7 +253,12 @@ fn record(
     times: &[SourceTime<'_>],
     recurrence: Recurrence,
 ) -> Refinement {
-    let Recurrence { update, correction, states, mut steps } = recurrence;
+    let Recurrence {
+        update,
+        correction,
+        states,
+        mut steps,
+    } = recurrence;
     steps.push(step(update, &correction));
     let width = network.refiner.config().state;
     let named = |(time, data): (&SourceTime<'_>, Vec<f32>)| NamedArray {
@@ -216,7 +266,11 @@ fn record(
         shape: vec![(data.len() / width) as u32, width as u32],
         data,
     };
-    let resume_state = if params.keep_state { times.iter().zip(states).map(named).collect() } else { Vec::new() };
+    let resume_state = if params.keep_state {
+        times.iter().zip(states).map(named).collect()
+    } else {
+        Vec::new()
+    };
     Refinement {
         clip_id: inputs.clip.clip_id.clone(),
         field_key: inputs.field_key,

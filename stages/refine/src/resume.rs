@@ -26,11 +26,16 @@ pub(crate) fn resumed(
     };
     let config = network.refiner.config();
     let count = inputs.field.len();
-    if (&earlier.clip_id, earlier.field_key) != (&inputs.clip.clip_id, inputs.field_key) || earlier.gaussian_count != count as u64 {
+    if (&earlier.clip_id, earlier.field_key) != (&inputs.clip.clip_id, inputs.field_key)
+        || earlier.gaussian_count != count as u64
+    {
         return Err(wrong("it corrects another field".into()));
     }
     if earlier.preset != config.name || earlier.weights != network.info {
-        return Err(wrong(format!("it was made by the network `{}` ({})", earlier.preset, earlier.weights.description)));
+        return Err(wrong(format!(
+            "it was made by the network `{}` ({})",
+            earlier.preset, earlier.weights.description
+        )));
     }
     if earlier.scale_residual != params.scale_residual {
         return Err(wrong("its scale residuals are meant in another way".into()));
@@ -39,16 +44,25 @@ pub(crate) fn resumed(
         return Err(wrong("it holds no correction".into()));
     };
     if last.update != earlier.updates || last.update > updates {
-        return Err(wrong(format!("it ends after update {}, and {updates} are asked for", last.update)));
+        return Err(wrong(format!(
+            "it ends after update {}, and {updates} are asked for",
+            last.update
+        )));
     }
     let correction = (last.touched.len() == count).then(|| Correction::from_touched(&last.touched, &last.values));
-    let correction = correction.flatten().ok_or_else(|| wrong("its arrays contradict each other".into()))?;
+    let correction = correction
+        .flatten()
+        .ok_or_else(|| wrong("its arrays contradict each other".into()))?;
 
     let state = |time: &SourceTime<'_>| {
         let name = state_name(time.frame);
-        let array = earlier.resume_state.iter().find(|array| array.name == name).ok_or_else(|| {
-            wrong("it did not keep its hidden state".into()).with_hint("make it with the parameter `keep_state`")
-        })?;
+        let array = earlier
+            .resume_state
+            .iter()
+            .find(|array| array.name == name)
+            .ok_or_else(|| {
+                wrong("it did not keep its hidden state".into()).with_hint("make it with the parameter `keep_state`")
+            })?;
         if array.data.len() != time.grid.len() * config.state {
             return Err(wrong(format!("the hidden state `{name}` has another size")));
         }
@@ -67,5 +81,10 @@ pub(crate) fn resumed(
             steps.push(last.clone());
         }
     }
-    Ok(Recurrence { update: last.update, correction, states, steps })
+    Ok(Recurrence {
+        update: last.update,
+        correction,
+        states,
+        steps,
+    })
 }

@@ -1,11 +1,11 @@
 //! What the refinement knows of each source time: its views, cameras, observed images and their features.
 
 use rogs_networks::stage2::{FeatureMaps, Plane, Refiner, TokenGrid};
+use rogs_schemas::RigidPose;
 use rogs_schemas::records::clip::{Clip, time_of_frame};
 use rogs_schemas::records::field::{Field, TimeSlice};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::units::UNITS_PER_METRE;
-use rogs_schemas::RigidPose;
 use rogs_splat::Camera;
 use rogs_worker::{StageError, StageResult};
 
@@ -39,7 +39,10 @@ pub(crate) fn source_times<'a>(
     let mut frames: Vec<u32> = field.views.iter().map(|view| view.frame).collect();
     frames.sort_unstable();
     frames.dedup();
-    frames.into_iter().map(|frame| source_time(clip, robot, field, refiner, frame)).collect()
+    frames
+        .into_iter()
+        .map(|frame| source_time(clip, robot, field, refiner, frame))
+        .collect()
 }
 
 fn source_time<'a>(
@@ -55,44 +58,87 @@ fn source_time<'a>(
         StageError::bad_input(format!("the field has no values at its own source frame {frame}"))
             .with_hint("run the lift stage again with the source frames among its times")
     })?;
-    let views: Vec<usize> = (0..field.views.len()).filter(|&view| field.views[view].frame == frame).collect();
+    let views: Vec<usize> = (0..field.views.len())
+        .filter(|&view| field.views[view].frame == frame)
+        .collect();
     let mut cameras = Vec::with_capacity(views.len());
     let mut observed = Vec::with_capacity(views.len());
     for &view in &views {
         let index = field.views[view].camera as usize;
         let camera = &clip.cameras[index];
         let Some(rgb) = &camera.rgb else {
-            return Err(StageError::bad_input(format!("source camera `{}` has no images in the clip", camera.id)));
+            return Err(StageError::bad_input(format!(
+                "source camera `{}` has no images in the clip",
+                camera.id
+            )));
         };
         let pixels = height * width * 3;
         let image = &rgb[frame as usize * pixels..(frame as usize + 1) * pixels];
         let data = image.iter().map(|&value| f32::from(value) / 255.0).collect();
-        observed.push(Plane { height, width, channels: 3, data });
+        observed.push(Plane {
+            height,
+            width,
+            channels: 3,
+            data,
+        });
         let base_from_camera = &robot.base_from_camera[index * clip.frame_count() + frame as usize];
         let recon_from_camera = composed(&field.recon_from_base, base_from_camera);
-        cameras.push(Camera::from_world_pose(field.width, field.height, &camera.intrinsics, &recon_from_camera, UNITS_PER_METRE));
+        cameras.push(Camera::from_world_pose(
+            field.width,
+            field.height,
+            &camera.intrinsics,
+            &recon_from_camera,
+            UNITS_PER_METRE,
+        ));
     }
     let maps = observed.iter().map(|image| refiner.encoder().feature_maps(image));
-    let maps = maps.collect::<Result<_, _>>().map_err(|error| StageError::bad_input(error.to_string()))?;
+    let maps = maps
+        .collect::<Result<_, _>>()
+        .map_err(|error| StageError::bad_input(error.to_string()))?;
     let grid = TokenGrid::new(views, height, width, refiner.config()).map_err(|error| {
         StageError::bad_params(error.to_string()).with_hint("choose another preset, or other image sides at ingest")
     })?;
-    Ok(SourceTime { frame, slice, grid, cameras, observed, maps })
+    Ok(SourceTime {
+        frame,
+        slice,
+        grid,
+        cameras,
+        observed,
+        maps,
+    })
 }
 
 /// Refuses records of different clips and sizes.
 fn check(clip: &Clip, robot: &RobotMaps, field: &Field) -> StageResult<()> {
     let frames = clip.frame_count();
     let problem = if clip.clip_id != field.clip_id || clip.clip_id != robot.clip_id {
-        format!("clip `{}`, robot maps of `{}` and field of `{}` do not belong together", clip.clip_id, robot.clip_id, field.clip_id)
+        format!(
+            "clip `{}`, robot maps of `{}` and field of `{}` do not belong together",
+            clip.clip_id, robot.clip_id, field.clip_id
+        )
     } else if (clip.height, clip.width) != (field.height, field.width) {
-        format!("the field has {} x {} pixels a view, the clip {} x {}", field.height, field.width, clip.height, clip.width)
+        format!(
+            "the field has {} x {} pixels a view, the clip {} x {}",
+            field.height, field.width, clip.height, clip.width
+        )
     } else if field.frame_count as usize != frames {
         format!("the field counts {} frames, the clip {frames}", field.frame_count)
     } else if robot.base_from_camera.len() != clip.cameras.len() * frames {
-        format!("the robot maps have {} camera poses for {} cameras and {frames} frames", robot.base_from_camera.len(), clip.cameras.len())
-    } else if let Some(view) = field.views.iter().find(|view| view.camera as usize >= clip.cameras.len()) {
-        format!("the field has a view of camera {}, the clip has {} cameras", view.camera, clip.cameras.len())
+        format!(
+            "the robot maps have {} camera poses for {} cameras and {frames} frames",
+            robot.base_from_camera.len(),
+            clip.cameras.len()
+        )
+    } else if let Some(view) = field
+        .views
+        .iter()
+        .find(|view| view.camera as usize >= clip.cameras.len())
+    {
+        format!(
+            "the field has a view of camera {}, the clip has {} cameras",
+            view.camera,
+            clip.cameras.len()
+        )
     } else if field.is_empty() {
         "the field has no Gaussians".to_owned()
     } else {
@@ -107,7 +153,9 @@ fn composed(a: &RigidPose, b: &RigidPose) -> RigidPose {
     let mut translation = a.translation;
     for row in 0..3 {
         for column in 0..3 {
-            rotation[row * 3 + column] = (0..3).map(|k| a.rotation[row * 3 + k] * b.rotation[k * 3 + column]).sum();
+            rotation[row * 3 + column] = (0..3)
+                .map(|k| a.rotation[row * 3 + k] * b.rotation[k * 3 + column])
+                .sum();
         }
         translation[row] += (0..3).map(|k| a.rotation[row * 3 + k] * b.translation[k]).sum::<f64>();
     }

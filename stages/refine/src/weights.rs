@@ -31,7 +31,8 @@ pub fn load_refiner(params: &RefineParams, weights: Option<&Path>) -> StageResul
 }
 
 fn seeded(params: &RefineParams, config: &RefinerConfig) -> StageResult<LoadedRefiner> {
-    let parameters = seeded_parameters(config, params.seed, &Device::flex()).map_err(|error| StageError::bad_params(error.to_string()))?;
+    let parameters = seeded_parameters(config, params.seed, &Device::flex())
+        .map_err(|error| StageError::bad_params(error.to_string()))?;
     let refiner = Refiner::load(&parameters, config).map_err(|error| StageError::internal(error.to_string()))?;
     let info = WeightsInfo {
         trained: false,
@@ -41,28 +42,51 @@ fn seeded(params: &RefineParams, config: &RefinerConfig) -> StageResult<LoadedRe
     };
     let warning = "the Stage-2 network is UNTRAINED (seeded weights, no weights file): its last layer is zero, so the correction is \
                    exactly zero and the refined field equals the Stage-1 field";
-    Ok(LoadedRefiner { refiner, info, warnings: vec![warning.to_owned()] })
+    Ok(LoadedRefiner {
+        refiner,
+        info,
+        warnings: vec![warning.to_owned()],
+    })
 }
 
 fn from_file(params: &RefineParams, config: &RefinerConfig, path: &Path) -> StageResult<LoadedRefiner> {
     let shown = path.display();
     let wrong = |error: rogs_networks::Error| {
-        StageError::bad_input(format!("weights `{shown}`: {error}"))
-            .with_hint(format!("the file must hold the Stage-2 tensors of the preset `{}`", config.name))
+        StageError::bad_input(format!("weights `{shown}`: {error}")).with_hint(format!(
+            "the file must hold the Stage-2 tensors of the preset `{}`",
+            config.name
+        ))
     };
     let mut parameters = read_weights(path, config, &Device::flex()).map_err(wrong)?;
     let filled = verify_parameters(&mut parameters, config, params.seed).map_err(wrong)?;
     let refiner = Refiner::load(&parameters, config).map_err(wrong)?;
     let hash = rogs_schemas::source::hash_file(path)?.to_string();
-    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let name = path
+        .file_name()
+        .map(|name| name.to_string_lossy().into_owned())
+        .unwrap_or_default();
     let trained = filled.is_empty();
     let mut warnings = Vec::new();
     let mut description = name;
     if !trained {
         let names = filled.join(", ");
-        warnings.push(format!("the weights file lacks {names}: they are UNTRAINED (seeded), so the refinement as a whole is untrained"));
-        description = format!("{description}, UNTRAINED in part: seeded {names} (seed {})", params.seed);
+        warnings.push(format!(
+            "the weights file lacks {names}: they are UNTRAINED (seeded), so the refinement as a whole is untrained"
+        ));
+        description = format!(
+            "{description}, UNTRAINED in part: seeded {names} (seed {})",
+            params.seed
+        );
     }
-    let info = WeightsInfo { trained, configuration: config.name.clone(), description, hash };
-    Ok(LoadedRefiner { refiner, info, warnings })
+    let info = WeightsInfo {
+        trained,
+        configuration: config.name.clone(),
+        description,
+        hash,
+    };
+    Ok(LoadedRefiner {
+        refiner,
+        info,
+        warnings,
+    })
 }

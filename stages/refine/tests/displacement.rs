@@ -22,7 +22,8 @@ fn bits(values: &[f32]) -> Vec<u32> {
 
 /// Centre of a Gaussian at a slice, metres, as the specification writes it.
 fn centre(field: &Field, slice: usize, delta: &[f32], n: usize) -> [f32; 3] {
-    [0, 1, 2].map(|axis| (field.position_m[3 * n + axis] + delta[axis]) + field.slices[slice].displacement_m[3 * n + axis])
+    [0, 1, 2]
+        .map(|axis| (field.position_m[3 * n + axis] + delta[axis]) + field.slices[slice].displacement_m[3 * n + axis])
 }
 
 proptest! {
@@ -77,7 +78,10 @@ proptest! {
 #[test]
 fn a_refined_field_moves_exactly_as_before_and_its_centres_are_shifted_by_one_value_for_all_times() {
     let example = example(77);
-    let params = RefineParams { updates: Some(2), ..RefineParams::default() };
+    let params = RefineParams {
+        updates: Some(2),
+        ..RefineParams::default()
+    };
     let refinement = refine(example.inputs(), &random_network("ci", 3), &params, &mut |_, _| {}).unwrap();
     let field = &example.field;
     let before = TimedField::new(field).unwrap();
@@ -85,7 +89,10 @@ fn a_refined_field_moves_exactly_as_before_and_its_centres_are_shifted_by_one_va
     let times: Vec<f64> = field.slices.iter().map(|slice| slice.time).collect();
     for &from in &times {
         for &to in &times {
-            let (a, b) = (before.displacement_m(from, to).unwrap(), after.displacement_m(from, to).unwrap());
+            let (a, b) = (
+                before.displacement_m(from, to).unwrap(),
+                after.displacement_m(from, to).unwrap(),
+            );
             assert_eq!(bits(&a), bits(&b));
         }
     }

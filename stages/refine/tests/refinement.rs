@@ -9,11 +9,17 @@ use rogs_splat::TimedField;
 use support::{example, random_network};
 
 fn params(updates: u32) -> RefineParams {
-    RefineParams { updates: Some(updates), ..RefineParams::default() }
+    RefineParams {
+        updates: Some(updates),
+        ..RefineParams::default()
+    }
 }
 
 fn run(inputs: ClipInputs<'_>, preset: &str, params: &RefineParams) -> Refinement {
-    let params = RefineParams { preset: preset.into(), ..params.clone() };
+    let params = RefineParams {
+        preset: preset.into(),
+        ..params.clone()
+    };
     refine(inputs, &random_network(preset, 5), &params, &mut |_, _| {}).unwrap()
 }
 
@@ -21,7 +27,11 @@ fn run(inputs: ClipInputs<'_>, preset: &str, params: &RefineParams) -> Refinemen
 fn seen(field: &Field, refinement: Option<&Refinement>) -> Vec<rogs_splat::Gaussians> {
     let timed = TimedField::new(field).unwrap();
     let timed = refinement.map_or(timed, |refinement| timed.with_refinement(refinement).unwrap());
-    field.slices.iter().map(|slice| timed.gaussians(slice.time).unwrap()).collect()
+    field
+        .slices
+        .iter()
+        .map(|slice| timed.gaussians(slice.time).unwrap())
+        .collect()
 }
 
 #[test]
@@ -38,7 +48,12 @@ fn seeded_weights_correct_nothing_and_say_that_they_are_untrained() {
     let example = example(2);
     let network = load_refiner(&params(2), None).unwrap();
     assert!(!network.info.trained && network.info.description.contains("UNTRAINED"));
-    assert!(network.warnings.iter().any(|warning| warning.contains("UNTRAINED") && warning.contains("exactly zero")));
+    assert!(
+        network
+            .warnings
+            .iter()
+            .any(|warning| warning.contains("UNTRAINED") && warning.contains("exactly zero"))
+    );
     let refinement = refine(example.inputs(), &network, &params(2), &mut |_, _| {}).unwrap();
     assert_eq!((refinement.updates, &refinement.weights), (2, &network.info));
     assert_eq!(seen(&example.field, Some(&refinement)), seen(&example.field, None));
@@ -52,15 +67,25 @@ fn a_network_that_does_something_corrects_what_the_cameras_see_within_five_centi
         let step = refinement.steps.last().unwrap();
         let touched = step.touched.iter().filter(|&&flag| flag != 0).count();
         let total = example.field.len();
-        assert!(touched > total / 4 && touched < total, "{preset}: {touched} of {total} Gaussians");
+        assert!(
+            touched > total / 4 && touched < total,
+            "{preset}: {touched} of {total} Gaussians"
+        );
         let mut bounded = 0;
         for row in step.values.chunks_exact(RESIDUAL_CHANNELS) {
-            let norm = row[..3].iter().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>().sqrt();
+            let norm = row[..3]
+                .iter()
+                .map(|&v| f64::from(v) * f64::from(v))
+                .sum::<f64>()
+                .sqrt();
             assert!(norm <= 0.05 * (1.0 + 1e-6), "{norm}");
             bounded += usize::from(norm > 0.0499);
             assert!(row.iter().all(|value| value.is_finite()));
         }
-        assert!(bounded > 0, "{preset}: the bound is reached somewhere, or this test shows nothing");
+        assert!(
+            bounded > 0,
+            "{preset}: the bound is reached somewhere, or this test shows nothing"
+        );
         assert_ne!(seen(&example.field, Some(&refinement)), seen(&example.field, None));
     }
 }
@@ -68,16 +93,34 @@ fn a_network_that_does_something_corrects_what_the_cameras_see_within_five_centi
 #[test]
 fn resuming_after_any_update_gives_what_an_undisturbed_run_gives() {
     let example = example(4);
-    let keep = |updates| RefineParams { keep_state: true, keep_intermediate: true, ..params(updates) };
+    let keep = |updates| RefineParams {
+        keep_state: true,
+        keep_intermediate: true,
+        ..params(updates)
+    };
     let whole = run(example.inputs(), "ci", &keep(3));
-    assert_eq!(whole.steps.iter().map(|step| step.update).collect::<Vec<_>>(), [1, 2, 3]);
+    assert_eq!(
+        whole.steps.iter().map(|step| step.update).collect::<Vec<_>>(),
+        [1, 2, 3]
+    );
     for updates in 0..=3 {
         let part = run(example.inputs(), "ci", &keep(updates));
         assert_eq!(part.steps.last().map(|step| step.update), Some(updates));
         if updates > 0 {
-            assert_eq!(part.steps, whole.steps[..updates as usize], "intermediate steps are those of shorter runs");
+            assert_eq!(
+                part.steps,
+                whole.steps[..updates as usize],
+                "intermediate steps are those of shorter runs"
+            );
         }
-        let resumed = run(ClipInputs { resume: Some(&part), ..example.inputs() }, "ci", &keep(3));
+        let resumed = run(
+            ClipInputs {
+                resume: Some(&part),
+                ..example.inputs()
+            },
+            "ci",
+            &keep(3),
+        );
         assert!(resumed == whole, "resumed after {updates} updates");
     }
 }
@@ -85,16 +128,42 @@ fn resuming_after_any_update_gives_what_an_undisturbed_run_gives() {
 #[test]
 fn an_earlier_refinement_that_does_not_fit_is_refused_with_the_reason() {
     let example = example(4);
-    let kept = run(example.inputs(), "ci", &RefineParams { keep_state: true, ..params(2) });
+    let kept = run(
+        example.inputs(),
+        "ci",
+        &RefineParams {
+            keep_state: true,
+            ..params(2)
+        },
+    );
     let refused = |earlier: &Refinement, params: &RefineParams| {
-        let inputs = ClipInputs { resume: Some(earlier), ..example.inputs() };
+        let inputs = ClipInputs {
+            resume: Some(earlier),
+            ..example.inputs()
+        };
         refine(inputs, &random_network("ci", 5), params, &mut |_, _| {}).unwrap_err()
     };
     assert!(refused(&kept, &params(1)).message.contains("ends after update 2"));
-    let linear = RefineParams { scale_residual: ScaleResidual::Linear, ..params(3) };
+    let linear = RefineParams {
+        scale_residual: ScaleResidual::Linear,
+        ..params(3)
+    };
     assert!(refused(&kept, &linear).message.contains("scale residuals"));
-    assert!(refused(&kept, &RefineParams { keep_intermediate: true, ..params(3) }).message.contains("corrections of all"));
-    let forgetful = Refinement { resume_state: Vec::new(), ..kept.clone() };
+    assert!(
+        refused(
+            &kept,
+            &RefineParams {
+                keep_intermediate: true,
+                ..params(3)
+            }
+        )
+        .message
+        .contains("corrections of all")
+    );
+    let forgetful = Refinement {
+        resume_state: Vec::new(),
+        ..kept.clone()
+    };
     assert!(refused(&forgetful, &params(3)).hint.unwrap().contains("keep_state"));
     let mut other = kept.clone();
     other.field_key.0[0] ^= 1;
@@ -110,7 +179,16 @@ fn results_do_not_depend_on_the_number_of_threads() {
     for preset in ["ci", "cpu"] {
         let with = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| run(example.inputs(), preset, &RefineParams { keep_state: true, ..params(2) }))
+            pool.install(|| {
+                run(
+                    example.inputs(),
+                    preset,
+                    &RefineParams {
+                        keep_state: true,
+                        ..params(2)
+                    },
+                )
+            })
         };
         let one = with(1);
         assert!(one == with(2) && one == with(3), "{preset}");
@@ -121,11 +199,27 @@ fn results_do_not_depend_on_the_number_of_threads() {
 fn linear_scale_residuals_and_fresh_neighbours_are_other_networks_that_run_too() {
     let example = example(6);
     let plain = run(example.inputs(), "ci", &params(2));
-    let linear = run(example.inputs(), "ci", &RefineParams { scale_residual: ScaleResidual::Linear, ..params(2) });
+    let linear = run(
+        example.inputs(),
+        "ci",
+        &RefineParams {
+            scale_residual: ScaleResidual::Linear,
+            ..params(2)
+        },
+    );
     assert_eq!(linear.scale_residual, ScaleResidual::Linear);
     assert_ne!(plain.steps, linear.steps);
     // Neighbours are the same at the first update, and differ after centres have moved.
-    let fresh = |updates| run(example.inputs(), "ci", &RefineParams { recompute_knn: true, ..params(updates) });
+    let fresh = |updates| {
+        run(
+            example.inputs(),
+            "ci",
+            &RefineParams {
+                recompute_knn: true,
+                ..params(updates)
+            },
+        )
+    };
     assert_eq!(fresh(1).steps, run(example.inputs(), "ci", &params(1)).steps);
     assert_ne!(fresh(2).steps, plain.steps);
 }
@@ -138,24 +232,49 @@ fn a_larger_epsilon_corrects_fewer_gaussians() {
         refinement.steps[0].touched.iter().filter(|&&flag| flag != 0).count()
     };
     let counts = [0.0, 1e-3, 0.2, 1e6].map(touched);
-    assert!(counts[0] >= counts[1] && counts[1] > counts[2] && counts[2] > 0 && counts[3] == 0, "{counts:?}");
+    assert!(
+        counts[0] >= counts[1] && counts[1] > counts[2] && counts[2] > 0 && counts[3] == 0,
+        "{counts:?}"
+    );
 }
 
 #[test]
 fn records_that_do_not_belong_together_are_refused() {
     let mut example = example(8);
     let network = random_network("ci", 5);
-    let message = |inputs: ClipInputs<'_>| refine(inputs, &network, &params(1), &mut |_, _| {}).unwrap_err().message;
+    let message = |inputs: ClipInputs<'_>| {
+        refine(inputs, &network, &params(1), &mut |_, _| {})
+            .unwrap_err()
+            .message
+    };
     let other = support::example(9);
     let mut renamed = other.robot.clone();
     renamed.clip_id = "floor".into();
-    assert!(message(ClipInputs { robot: &renamed, ..example.inputs() }).contains("floor"));
+    assert!(
+        message(ClipInputs {
+            robot: &renamed,
+            ..example.inputs()
+        })
+        .contains("floor")
+    );
     let mut missing = other.field.clone();
     missing.slices.remove(2);
-    assert!(message(ClipInputs { field: &missing, ..example.inputs() }).contains("source frame 4"));
+    assert!(
+        message(ClipInputs {
+            field: &missing,
+            ..example.inputs()
+        })
+        .contains("source frame 4")
+    );
     let mut short = other.robot.clone();
     short.base_from_camera.pop();
-    assert!(message(ClipInputs { robot: &short, ..example.inputs() }).contains("camera poses"));
+    assert!(
+        message(ClipInputs {
+            robot: &short,
+            ..example.inputs()
+        })
+        .contains("camera poses")
+    );
     example.clip.cameras[1].rgb = None;
     assert!(message(example.inputs()).contains("ext1"));
 }
@@ -167,5 +286,10 @@ fn progress_names_update_and_source_frame_and_never_goes_back() {
     let report = &mut |fraction: f64, message: &str| heard.push((fraction, message.to_owned()));
     refine(example.inputs(), &random_network("ci", 5), &params(2), report).unwrap();
     assert!(heard.is_sorted_by(|a, b| a.0 <= b.0) && heard.iter().all(|(fraction, _)| (0.0..=1.0).contains(fraction)));
-    assert!(heard.iter().any(|(_, message)| message == "update 2 of 2, source frame 4"), "{heard:?}");
+    assert!(
+        heard
+            .iter()
+            .any(|(_, message)| message == "update 2 of 2, source frame 4: error features"),
+        "{heard:?}"
+    );
 }

@@ -95,7 +95,12 @@ impl Correction {
         let touched: Vec<u8> = rows().map(|row| u8::from(changed(row))).collect();
         let count = touched.iter().filter(|&&flag| flag != 0).count();
         let mut values = Vec::with_capacity(count * RESIDUAL_CHANNELS);
-        for (row, _) in self.values.chunks_exact(RESIDUAL_CHANNELS).zip(&touched).filter(|(_, flag)| **flag != 0) {
+        for (row, _) in self
+            .values
+            .chunks_exact(RESIDUAL_CHANNELS)
+            .zip(&touched)
+            .filter(|(_, flag)| **flag != 0)
+        {
             values.extend_from_slice(row);
         }
         (touched, values)

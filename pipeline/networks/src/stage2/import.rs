@@ -25,16 +25,25 @@ const FOLDERS: [&str; 3] = ["", "state_dict.", "model."];
 /// When the file cannot be read, or one of its tensors has another shape or a type that is no floating-point number.
 pub fn read_weights(path: &Path, config: &RefinerConfig, device: &Device) -> Result<Parameters> {
     config.validate()?;
-    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+    let extension = path
+        .extension()
+        .and_then(|extension| extension.to_str())
+        .unwrap_or_default();
     match extension.to_ascii_lowercase().as_str() {
         "safetensors" => read_safetensors(path, config, device),
         "pth" | "pt" | "ckpt" => read_pytorch(path, config, device),
-        other => Err(bad(path, format!("weights are read from .safetensors, .pth, .pt or .ckpt files, not `.{other}`"))),
+        other => Err(bad(
+            path,
+            format!("weights are read from .safetensors, .pth, .pt or .ckpt files, not `.{other}`"),
+        )),
     }
 }
 
 fn read_safetensors(path: &Path, config: &RefinerConfig, device: &Device) -> Result<Parameters> {
-    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.to_owned(), source })?;
+    let bytes = std::fs::read(path).map_err(|source| Error::Io {
+        path: path.to_owned(),
+        source,
+    })?;
     let file = SafeTensors::deserialize(&bytes).map_err(|error| bad(path, error.to_string()))?;
     let mut parameters = Parameters::new(device);
     for (name, expected) in parameter_shapes(config) {
@@ -45,7 +54,12 @@ fn read_safetensors(path: &Path, config: &RefinerConfig, device: &Device) -> Res
             Dtype::F64 => widen(view.data(), |bytes| f64::from_le_bytes(bytes) as f32),
             Dtype::F16 => widen(view.data(), |bytes| f16::from_le_bytes(bytes).to_f32()),
             Dtype::BF16 => widen(view.data(), |bytes| bf16::from_le_bytes(bytes).to_f32()),
-            other => return Err(bad(path, format!("the tensor `{name}` has the type {other:?}, not a floating-point type"))),
+            other => {
+                return Err(bad(
+                    path,
+                    format!("the tensor `{name}` has the type {other:?}, not a floating-point type"),
+                ));
+            }
         };
         parameters.insert(&name, &expected, values)?;
     }
@@ -56,7 +70,9 @@ fn read_pytorch(path: &Path, config: &RefinerConfig, device: &Device) -> Result<
     let file = PytorchReader::new(path).map_err(|error| bad(path, error.to_string()))?;
     let mut parameters = Parameters::new(device);
     for (name, expected) in parameter_shapes(config) {
-        let Some(tensor) = FOLDERS.iter().find_map(|folder| file.get(&format!("{folder}{name}"))) else { continue };
+        let Some(tensor) = FOLDERS.iter().find_map(|folder| file.get(&format!("{folder}{name}"))) else {
+            continue;
+        };
         check_shape(&name, tensor.shape(), &expected)?;
         parameters.insert(&name, &expected, pytorch_values(path, &name, tensor)?)?;
     }
@@ -64,13 +80,23 @@ fn read_pytorch(path: &Path, config: &RefinerConfig, device: &Device) -> Result<
 }
 
 fn pytorch_values(path: &Path, name: &str, tensor: &Tensor) -> Result<Vec<f32>> {
-    let bytes = || tensor.read().map_err(|source| Error::Io { path: path.to_owned(), source });
+    let bytes = || {
+        tensor.read().map_err(|source| Error::Io {
+            path: path.to_owned(),
+            source,
+        })
+    };
     Ok(match tensor.dtype() {
         DType::F32 => widen(&bytes()?, f32::from_ne_bytes),
         DType::F64 => widen(&bytes()?, |bytes| f64::from_ne_bytes(bytes) as f32),
         DType::F16 => widen(&bytes()?, |bytes| f16::from_ne_bytes(bytes).to_f32()),
         DType::BF16 => widen(&bytes()?, |bytes| bf16::from_ne_bytes(bytes).to_f32()),
-        other => return Err(bad(path, format!("the tensor `{name}` has the type {other:?}, not a floating-point type"))),
+        other => {
+            return Err(bad(
+                path,
+                format!("the tensor `{name}` has the type {other:?}, not a floating-point type"),
+            ));
+        }
     })
 }
 
@@ -83,9 +109,16 @@ fn check_shape(name: &str, found: &[usize], expected: &[usize]) -> Result<()> {
     if found == expected {
         return Ok(());
     }
-    Err(Error::WrongShape { name: name.to_owned(), found: found.to_vec(), expected: expected.to_vec() })
+    Err(Error::WrongShape {
+        name: name.to_owned(),
+        found: found.to_vec(),
+        expected: expected.to_vec(),
+    })
 }
 
 fn bad(path: &Path, reason: String) -> Error {
-    Error::BadFile { path: path.to_owned(), reason }
+    Error::BadFile {
+        path: path.to_owned(),
+        reason,
+    }
 }

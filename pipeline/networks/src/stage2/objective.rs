@@ -132,13 +132,20 @@ pub type Perceptual<'a> = &'a dyn Fn(&RenderedView) -> Tensor<1>;
 /// # Panics
 /// When `outcome` has no view.
 #[must_use]
-pub fn update_objective(outcome: &UpdateOutcome, weights: &ObjectiveWeights, perceptual: Option<Perceptual<'_>>) -> ObjectiveTerms {
+pub fn update_objective(
+    outcome: &UpdateOutcome,
+    weights: &ObjectiveWeights,
+    perceptual: Option<Perceptual<'_>>,
+) -> ObjectiveTerms {
     let views = &outcome.views;
     let device = views[0].rgb.device();
     let zero = || Tensor::<1>::zeros([1], &device);
     let joined = |part: &dyn Fn(&RenderedView) -> Tensor<2>| Tensor::cat(views.iter().map(part).collect(), 0);
 
-    let rendering = absolute_difference(joined(&|view| view.rgb.clone()), joined(&|view| view.observed_rgb.clone()));
+    let rendering = absolute_difference(
+        joined(&|view| view.rgb.clone()),
+        joined(&|view| view.observed_rgb.clone()),
+    );
     let perceptual = match perceptual {
         Some(distance) => Tensor::cat(views.iter().map(distance).collect(), 0).mean(),
         None => zero(),
@@ -152,10 +159,14 @@ pub fn update_objective(outcome: &UpdateOutcome, weights: &ObjectiveWeights, per
     let coverage = masked_mean(of_side(ViewSide::Source), &missing).unwrap_or_else(zero);
     let coverage_right = masked_mean(of_side(ViewSide::PairedRight), &missing).unwrap_or_else(zero);
     let robot = outcome.robot.as_ref();
-    let robot = robot.map_or_else(zero, |robot| absolute_difference(robot.centre_m.clone(), robot.reference_m.clone()));
+    let robot = robot.map_or_else(zero, |robot| {
+        absolute_difference(robot.centre_m.clone(), robot.reference_m.clone())
+    });
     let against = |reference: fn(&RenderedMotion) -> Tensor<2>| {
         let motion = outcome.motion.as_ref();
-        motion.map_or_else(zero, |motion| absolute_difference(motion.displacement.clone(), reference(motion)))
+        motion.map_or_else(zero, |motion| {
+            absolute_difference(motion.displacement.clone(), reference(motion))
+        })
     };
     let motion = against(|motion| motion.reference.clone());
     let preservation = against(|motion| motion.stage1.clone());
@@ -168,7 +179,17 @@ pub fn update_objective(outcome: &UpdateOutcome, weights: &ObjectiveWeights, per
         + preservation.clone() * weights.preservation
         + coverage.clone() * weights.coverage
         + coverage_right.clone() * weights.coverage_right;
-    ObjectiveTerms { rendering, perceptual, depth, robot, motion, preservation, coverage, coverage_right, total }
+    ObjectiveTerms {
+        rendering,
+        perceptual,
+        depth,
+        robot,
+        motion,
+        preservation,
+        coverage,
+        coverage_right,
+        total,
+    }
 }
 
 /// The objective of a run of updates: `sum_r discount^(R-1-r) total_r`. `[1]`
@@ -176,7 +197,11 @@ pub fn update_objective(outcome: &UpdateOutcome, weights: &ObjectiveWeights, per
 /// # Panics
 /// When there is no update, or an update without views.
 #[must_use]
-pub fn objective(updates: &[UpdateOutcome], weights: &ObjectiveWeights, perceptual: Option<Perceptual<'_>>) -> Tensor<1> {
+pub fn objective(
+    updates: &[UpdateOutcome],
+    weights: &ObjectiveWeights,
+    perceptual: Option<Perceptual<'_>>,
+) -> Tensor<1> {
     let last = updates.len() - 1;
     let weighted = |(update, outcome): (usize, &UpdateOutcome)| {
         update_objective(outcome, weights, perceptual).total * weights.discount.powi((last - update) as i32)
@@ -278,7 +303,8 @@ mod tests {
         close("preservation", &terms.preservation, 0.75 / 3.0);
         close("coverage", &terms.coverage, 0.25);
         close("coverage_right", &terms.coverage_right, 0.0625);
-        let total = 1.75 / 9.0 + 0.5 * 0.5 + 1.04 * 0.25 + 0.157 * 0.015 + 2.0 * 0.106 * 0.25 + 0.059 * 0.25 + 0.065 * 0.0625;
+        let total =
+            1.75 / 9.0 + 0.5 * 0.5 + 1.04 * 0.25 + 0.157 * 0.015 + 2.0 * 0.106 * 0.25 + 0.059 * 0.25 + 0.065 * 0.0625;
         close("total", &terms.total, total);
     }
 
@@ -288,7 +314,11 @@ mod tests {
         let weights = ObjectiveWeights::default();
         let full = outcome(&device);
         let one = number(objective(std::slice::from_ref(&full), &weights, None));
-        let bare = UpdateOutcome { robot: None, motion: None, ..full.clone() };
+        let bare = UpdateOutcome {
+            robot: None,
+            motion: None,
+            ..full.clone()
+        };
         let less = number(objective(std::slice::from_ref(&bare), &weights, None));
         assert!((one - less - (0.157 * 0.015 + 2.0 * 0.106 * 0.25)).abs() < 1e-6);
         let three = number(objective(&[full.clone(), bare, full], &weights, None));

@@ -88,19 +88,31 @@ impl Refiner {
     /// # Errors
     /// When the arrays do not fit each other, or the device fails.
     pub fn update(&self, grid: &TokenGrid, set: TokenSet, state: &mut [f32]) -> Result<Vec<f32>> {
-        let TokenSet { tokens, attributes, positions, feedback } = set;
+        let TokenSet {
+            tokens,
+            attributes,
+            positions,
+            feedback,
+        } = set;
         let (n, s, f) = (tokens.len(), self.config.state, self.config.features());
         let residuals = self.config.residuals();
         let fits = attributes.len() == n * residuals && positions.len() == n && feedback.len() == n * f;
         if !fits || state.len() != grid.len() * s || tokens.iter().any(|&token| token as usize >= grid.len()) {
-            return Err(Error::BadInput(format!("the arrays of {n} tokens do not fit the refiner `{}`", self.config.name)));
+            return Err(Error::BadInput(format!(
+                "the arrays of {n} tokens do not fit the refiner `{}`",
+                self.config.name
+            )));
         }
         if n == 0 {
             return Ok(Vec::new());
         }
         let count = self.config.neighbours.min(n);
         let neighbours = Neighbours::new(&nearest_neighbours(&positions, count), count, &self.device);
-        let rows: Vec<f32> = tokens.iter().flat_map(|&token| &state[token as usize * s..][..s]).copied().collect();
+        let rows: Vec<f32> = tokens
+            .iter()
+            .flat_map(|&token| &state[token as usize * s..][..s])
+            .copied()
+            .collect();
         let output = self.updater.forward(
             from_host(attributes, [n, residuals], &self.device),
             from_host(rows, [n, s], &self.device),

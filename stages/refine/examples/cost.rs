@@ -1,0 +1,80 @@
+//! Time and memory of a refinement at the size of a full clip: 15 source views of 154 x 280 pixels, 646,800 Gaussians.
+//!
+//! `cargo run --release -p rogs-refine --example cost -- PRESET [UPDATES] [HEIGHT WIDTH]`
+//! The clip is made from formulas and the network has a random head; neither changes the amount of work.
+
+#[path = "../tests/support/mod.rs"]
+mod support;
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use rogs_refine::{RefineParams, refine};
+use support::{Sizes, example_of, random_network};
+
+fn main() -> Result<(), String> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let number = |index: usize| {
+        arguments
+            .get(index)
+            .map(|text| text.parse::<u32>().map_err(|error| format!("`{text}`: {error}")))
+            .transpose()
+    };
+    let preset = arguments.first().cloned().unwrap_or_else(|| "ci".into());
+    let (height, width) = (number(2)?.unwrap_or(154), number(3)?.unwrap_or(280));
+    let example = example_of(
+        Sizes {
+            height,
+            width,
+            frames: 17,
+            step: 4,
+        },
+        1,
+    );
+    let network = random_network(&preset, 1);
+    let params = RefineParams {
+        preset: preset.clone(),
+        updates: number(1)?,
+        ..RefineParams::default()
+    };
+    let start = Instant::now();
+    let mut seconds: BTreeMap<String, f64> = BTreeMap::new();
+    let mut last = (start, String::new());
+    let refinement = refine(example.inputs(), &network, &params, &mut |_, message| {
+        *seconds.entry(std::mem::take(&mut last.1)).or_default() += last.0.elapsed().as_secs_f64();
+        let phase = message.rsplit(": ").next().unwrap_or(message).to_owned();
+        last = (Instant::now(), phase);
+    })
+    .map_err(|error| error.to_string())?;
+    *seconds.entry(last.1).or_default() += last.0.elapsed().as_secs_f64();
+    let touched = refinement
+        .steps
+        .last()
+        .map_or(0, |step| step.touched.iter().filter(|&&flag| flag != 0).count());
+    println!(
+        "preset {preset}, {} updates, {} Gaussians, {touched} corrected",
+        refinement.updates,
+        example.field.len()
+    );
+    for (phase, seconds) in seconds.iter().filter(|(phase, _)| !phase.is_empty()) {
+        println!("{seconds:8.2} s  {phase}");
+    }
+    println!(
+        "{:8.2} s  in all, {} threads",
+        start.elapsed().as_secs_f64(),
+        rayon::current_num_threads()
+    );
+    println!(
+        "{:8.2} GiB peak resident, the clip included",
+        peak_bytes() as f64 / f64::from(1u32 << 30)
+    );
+    Ok(())
+}
+
+/// Peak resident memory of this process, 0 where the system does not say.
+fn peak_bytes() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let kibibytes = line.and_then(|line| line.trim().trim_end_matches(" kB").parse::<u64>().ok());
+    kibibytes.unwrap_or(0) * 1024
+}
