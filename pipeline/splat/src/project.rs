@@ -21,6 +21,8 @@ pub(crate) const CHUNK: usize = 8192;
 /// Most tile entries of one view; more is refused rather than allocated.
 const MAX_TILE_ENTRIES: usize = 1 << 29;
 const LOG2_E: f32 = std::f32::consts::LOG2_E;
+/// log2 of the falloff is `-FALLOFF * d^T Sigma^-1 d`.
+pub(crate) const FALLOFF: f32 = 0.5 * LOG2_E;
 
 /// A visible Gaussian in the image. One cache line.
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -29,10 +31,11 @@ pub(crate) struct Projected {
     /// Mean in pixels.
     pub(crate) x: f32,
     pub(crate) y: f32,
-    /// Conic scaled so that log2 of the falloff at d is `(qa dx + qb dy) dx + qc dy dy`.
-    pub(crate) qa: f32,
-    pub(crate) qb: f32,
-    pub(crate) qc: f32,
+    /// Conic in factored form: log2 of the falloff at d is `lc dy^2 - (la dx + lb dy)^2`. It is never positive, and it
+    /// does not cancel for needles as `A dx^2 + 2 B dx dy + C dy^2` does.
+    pub(crate) la: f32,
+    pub(crate) lb: f32,
+    pub(crate) lc: f32,
     /// Opacity with the compensation.
     pub(crate) opacity: f32,
     /// Colour, evaluated and clamped.
@@ -191,7 +194,15 @@ impl WithSimd for ProjectChunk<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _simd: S) -> Result<ChunkBins> {
-        let Self { gaussians, view, config, grid, first, records, entries } = self;
+        let Self {
+            gaussians,
+            view,
+            config,
+            grid,
+            first,
+            records,
+            entries,
+        } = self;
         entries.clear();
         let mut bins = ChunkBins::default();
         let mut block = Block::new();
@@ -284,26 +295,28 @@ fn file(record: &Projected, out: &BlockOut, lane: usize, index: u32, grid: &Grid
     }
 }
 
-/// Slack of the reach tests in log2 units and relative to the terms of the quadratic form; both are far above the
-/// rounding of the compositing kernel, so that no pixel above the alpha cut is lost and tiles never show.
-pub(crate) const REACH_SLACK: f32 = 1e-4;
-pub(crate) const REACH_SHRINK: f32 = 1.0 - 4e-6;
+/// Slack of the reach tests in log2 units, far above the rounding of the exponential and the opacity.
+const REACH_SLACK: f32 = 1e-4;
+/// Bound of the relative rounding of `la dx` and `lb dy` in the reach tests and in the kernel together.
+const REACH_ROUNDING: f32 = 1e-6;
 
-/// Whether the level set of a Gaussian reaches any pixel centre's rectangle of a block of `size` pixels at (x, y).
+/// Whether the level set of a Gaussian reaches the rectangle of the pixel centres of a block of `size` pixels at (x, y).
+/// The slack in `power_min` keeps every pixel that the compositing kernel would keep, so that tiles never show.
 #[inline(always)]
 pub(crate) fn reaches(g: &Projected, x: usize, y: usize, size: usize) -> bool {
     let (xl, yl) = (x as f32 + 0.5 - g.x, y as f32 + 0.5 - g.y);
     let (xh, yh) = (xl + (size - 1) as f32, yl + (size - 1) as f32);
-    let (qa, qc) = (g.qa * REACH_SHRINK, g.qc * REACH_SHRINK);
     let ex = 0.0_f32.min(xh).max(xl);
     let ey = 0.0_f32.min(yh).max(yl);
     // Best point on the vertical line through ex and on the horizontal line through ey.
-    let y_best = (-0.5 * g.qb / qc * ex).min(yh).max(yl);
-    let x_best = (-0.5 * g.qb / qa * ey).min(xh).max(xl);
-    let p1 = (qa * ex + g.qb * y_best) * ex + qc * y_best * y_best;
-    let p2 = (qa * x_best + g.qb * ey) * x_best + qc * ey * ey;
+    let y_best = (g.la * g.lb / (g.lc - g.lb * g.lb) * ex).min(yh).max(yl);
+    let x_best = (-g.lb / g.la * ey).min(xh).max(xl);
+    let power = |dx: f32, dy: f32| {
+        let l = g.la * dx + g.lb * dy;
+        g.lc * dy * dy - l * l
+    };
     // Not `>=`: a form that is not a number must stay in, the kernel decides.
-    !(p1.max(p2) < g.power_min)
+    !(power(ex, y_best).max(power(x_best, ey)) < g.power_min)
 }
 
 /// Inputs of sixteen Gaussians, component-major.
@@ -319,7 +332,13 @@ struct Block {
 impl Block {
     fn new() -> Self {
         let three = [[0.0; LANES]; 3];
-        Self { mean: three, quat: [[0.0; LANES]; 4], scale: three, opacity: [0.0; LANES], rgb: three }
+        Self {
+            mean: three,
+            quat: [[0.0; LANES]; 4],
+            scale: three,
+            opacity: [0.0; LANES],
+            rgb: three,
+        }
     }
 
     #[inline(always)]
@@ -356,9 +375,9 @@ struct BlockOut {
     x: [f32; LANES],
     y: [f32; LANES],
     z: [f32; LANES],
-    qa: [f32; LANES],
-    qb: [f32; LANES],
-    qc: [f32; LANES],
+    la: [f32; LANES],
+    lb: [f32; LANES],
+    lc: [f32; LANES],
     opacity: [f32; LANES],
     power_min: [f32; LANES],
     /// First and last tile column, first and last tile row.
@@ -374,9 +393,9 @@ impl BlockOut {
             x: z,
             y: z,
             z,
-            qa: z,
-            qb: z,
-            qc: z,
+            la: z,
+            lb: z,
+            lc: z,
             opacity: z,
             power_min: z,
             tiles: [[0; LANES]; 4],
@@ -390,9 +409,9 @@ impl BlockOut {
         Projected {
             x: self.x[lane],
             y: self.y[lane],
-            qa: self.qa[lane],
-            qb: self.qb[lane],
-            qc: self.qc[lane],
+            la: self.la[lane],
+            lb: self.lb[lane],
+            lc: self.lc[lane],
             opacity: self.opacity[lane],
             rgb: colour(gaussians, index, view),
             z: self.z[lane],
@@ -498,8 +517,11 @@ fn project_lanes(block: &Block, view: &View, config: &RasterConfig, tile: f32, o
         let eps = config.eps2d;
         let (cov_a, cov_c) = (a0 + eps, c0 + eps);
         let det = det0 + eps * (a0 + c0) + eps * eps;
-        let positive = (det > 0.0) & (det < 3e38) & (cov_a < 1e30) & (cov_c < 1e30);
-        let inv_det = 1.0 / if positive { det } else { 1.0 };
+        let representable = (det > 1e-30) & (det < 3e38) & (cov_a < 1e30) & (cov_c > 1e-30) & (cov_c < 1e30);
+        let inv_det = 1.0 / if representable { det } else { 1.0 };
+        let inv_c = 1.0 / if representable { cov_c } else { 1.0 };
+        let la = (FALLOFF * cov_c * inv_det).sqrt();
+        let lb = -la * cov_b * inv_c;
         let rho = (det0 * inv_det).max(floor2).sqrt();
         let opacity = if antialiased { o * rho } else { o };
 
@@ -521,18 +543,19 @@ fn project_lanes(block: &Block, view: &View, config: &RasterConfig, tile: f32, o
         out.x[l] = px;
         out.y[l] = py;
         out.z[l] = z;
-        out.qa[l] = -0.5 * LOG2_E * cov_c * inv_det;
-        out.qb[l] = LOG2_E * cov_b * inv_det;
-        out.qc[l] = -0.5 * LOG2_E * cov_a * inv_det;
+        out.la[l] = la;
+        out.lb[l] = lb;
+        out.lc[l] = -FALLOFF * inv_c;
         out.opacity[l] = opacity;
-        out.power_min[l] = -(level + REACH_SLACK);
+        let rounding = REACH_ROUNDING * (la * half_x + lb.abs() * half_y) * level.sqrt();
+        out.power_min[l] = -(level + REACH_SLACK + 2.0 * rounding);
         for (k, bound) in [x0, x1, y0, y1].into_iter().enumerate() {
             // Bounds lie in the image where they are used and are 0 elsewhere.
             out.tiles[k][l] = safe(bound) as i32 as u32;
         }
         // Finite inputs that overflow on the way count as invalid too, unless they are out of sight anyway.
-        out.valid[l] = u32::from(valid & (positive | !in_range | !enough));
-        out.visible[l] = u32::from(in_range & positive & enough & inside);
+        out.valid[l] = u32::from(valid & (representable | !in_range | !enough));
+        out.visible[l] = u32::from(in_range & representable & enough & inside);
     }
 }
 

@@ -9,7 +9,7 @@ use pulp::{Simd, WithSimd};
 
 use crate::camera::{ALPHA_CUT, STOP};
 use crate::order::TileList;
-use crate::project::{Projected, REACH_SHRINK};
+use crate::project::Projected;
 use crate::simd::{LANES, Lanes, bits, exp2, load, prefetch, store};
 
 /// Gaussians of a batch.
@@ -25,9 +25,9 @@ pub(crate) const EXTRA: usize = 4;
 pub(crate) struct Batch {
     pub(crate) x: [Lanes; BATCH / LANES],
     pub(crate) y: [Lanes; BATCH / LANES],
-    pub(crate) qa: [Lanes; BATCH / LANES],
-    pub(crate) qb: [Lanes; BATCH / LANES],
-    pub(crate) qc: [Lanes; BATCH / LANES],
+    pub(crate) la: [Lanes; BATCH / LANES],
+    pub(crate) lb: [Lanes; BATCH / LANES],
+    pub(crate) lc: [Lanes; BATCH / LANES],
     pub(crate) power_min: [Lanes; BATCH / LANES],
     /// Opacity, red, green, blue, z and the extra channels of each Gaussian.
     pub(crate) values: [[f32; 5 + EXTRA]; BATCH],
@@ -40,9 +40,9 @@ impl Batch {
         Self {
             x: zero,
             y: zero,
-            qa: zero,
-            qb: zero,
-            qc: zero,
+            la: zero,
+            lb: zero,
+            lc: zero,
             power_min: zero,
             values: [[0.0; 5 + EXTRA]; BATCH],
             count: 0,
@@ -62,9 +62,9 @@ impl Batch {
             let (group, lane) = (place / LANES, place % LANES);
             self.x[group].0[lane] = g.x;
             self.y[group].0[lane] = g.y;
-            self.qa[group].0[lane] = g.qa;
-            self.qb[group].0[lane] = g.qb;
-            self.qc[group].0[lane] = g.qc;
+            self.la[group].0[lane] = g.la;
+            self.lb[group].0[lane] = g.lb;
+            self.lc[group].0[lane] = g.lc;
             self.power_min[group].0[lane] = g.power_min;
             let values = &mut self.values[place];
             *values = [g.opacity, g.rgb[0], g.rgb[1], g.rgb[2], g.z, 0.0, 0.0, 0.0, 0.0];
@@ -83,34 +83,34 @@ impl Batch {
         *reach = [0; MAX_BLOCKS];
         let side = (BLOCK - 1) as f32;
         let zero = simd.splat_f32s(0.0);
-        let half = simd.splat_f32s(-0.5);
-        let shrink = simd.splat_f32s(REACH_SHRINK);
         for group in 0..self.count.div_ceil(LANES) {
             let (gx, gy) = (load::<S>(&self.x[group]), load::<S>(&self.y[group]));
-            let qa = simd.mul_f32s(load::<S>(&self.qa[group]), shrink);
-            let qb = load::<S>(&self.qb[group]);
-            let qc = simd.mul_f32s(load::<S>(&self.qc[group]), shrink);
+            let (la, lb, lc) = (
+                load::<S>(&self.la[group]),
+                load::<S>(&self.lb[group]),
+                load::<S>(&self.lc[group]),
+            );
             let power_min = load::<S>(&self.power_min[group]);
-            let half_qb = simd.mul_f32s(half, qb);
-            let slope_y = simd.div_f32s(half_qb, qc);
-            let slope_x = simd.div_f32s(half_qb, qa);
+            // Best y on a vertical line and best x on a horizontal line through the mean's origin (see `reaches`).
+            let slope_y = simd.div_f32s(simd.mul_f32s(la, lb), simd.negate_mul_add_f32s(lb, lb, lc));
+            let slope_x = simd.div_f32s(simd.sub_f32s(zero, lb), la);
             for row in 0..tile.blocks_y {
                 let yl = simd.sub_f32s(simd.splat_f32s((tile.y + row * BLOCK) as f32 + 0.5), gy);
                 let yh = simd.add_f32s(yl, simd.splat_f32s(side));
                 let ey = simd.max_f32s(simd.min_f32s(zero, yh), yl);
                 let x_free = simd.mul_f32s(slope_x, ey);
-                let qb_ey = simd.mul_f32s(qb, ey);
-                let qc_ey = simd.mul_f32s(simd.mul_f32s(qc, ey), ey);
+                let lb_ey = simd.mul_f32s(lb, ey);
+                let lc_ey = simd.mul_f32s(simd.mul_f32s(lc, ey), ey);
                 for column in 0..tile.blocks_x {
                     let xl = simd.sub_f32s(simd.splat_f32s((tile.x + column * BLOCK) as f32 + 0.5), gx);
                     let xh = simd.add_f32s(xl, simd.splat_f32s(side));
                     let ex = simd.max_f32s(simd.min_f32s(zero, xh), xl);
                     let y_best = simd.max_f32s(simd.min_f32s(simd.mul_f32s(slope_y, ex), yh), yl);
                     let x_best = simd.max_f32s(simd.min_f32s(x_free, xh), xl);
-                    let t1 = simd.mul_add_f32s(qa, ex, simd.mul_f32s(qb, y_best));
-                    let p1 = simd.mul_add_f32s(t1, ex, simd.mul_f32s(simd.mul_f32s(qc, y_best), y_best));
-                    let t2 = simd.mul_add_f32s(qa, x_best, qb_ey);
-                    let p2 = simd.mul_add_f32s(t2, x_best, qc_ey);
+                    let l1 = simd.mul_add_f32s(la, ex, simd.mul_f32s(lb, y_best));
+                    let p1 = simd.negate_mul_add_f32s(l1, l1, simd.mul_f32s(simd.mul_f32s(lc, y_best), y_best));
+                    let l2 = simd.mul_add_f32s(la, x_best, lb_ey);
+                    let p2 = simd.negate_mul_add_f32s(l2, l2, lc_ey);
                     let hit = simd.greater_than_or_equal_f32s(simd.max_f32s(p1, p2), power_min);
                     reach[row * tile.blocks_x + column] |= u64::from(bits(simd, hit)) << (group * LANES);
                 }
@@ -344,22 +344,15 @@ impl Walk<'_> {
             let values = &batch.values[place];
             let dx = simd.sub_f32s(simd.splat_f32s(batch.x[group].0[lane]), px);
             let dy = simd.sub_f32s(simd.splat_f32s(batch.y[group].0[lane]), py);
-            let power = falloff_power(
-                simd,
-                [
-                    batch.qa[group].0[lane],
-                    batch.qb[group].0[lane],
-                    batch.qc[group].0[lane],
-                ],
-                dx,
-                dy,
-            );
+            let conic = [
+                batch.la[group].0[lane],
+                batch.lb[group].0[lane],
+                batch.lc[group].0[lane],
+            ];
+            let (power, _) = falloff_power(simd, conic, dx, dy);
             let falloff = exp2(simd, power);
             let alpha = simd.min_f32s(alpha_max, simd.mul_f32s(simd.splat_f32s(values[0]), falloff));
-            let touched = simd.and_m32s(
-                simd.greater_than_or_equal_f32s(alpha, cut),
-                simd.less_than_or_equal_f32s(power, zero),
-            );
+            let touched = simd.greater_than_or_equal_f32s(alpha, cut);
             // Where the Gaussian does not touch, alpha 0 leaves everything as it is; where the pixel is finished,
             // `open` is 0 and stays 0.
             let alpha = simd.select_f32s(touched, alpha, zero);
@@ -412,12 +405,15 @@ impl Walk<'_> {
     }
 }
 
-/// log2 of the falloff of a Gaussian at an offset.
+/// log2 of the falloff of a Gaussian at an offset, and `la dx + lb dy`.
 #[inline(always)]
-pub(crate) fn falloff_power<S: Simd>(simd: S, conic: [f32; 3], dx: S::f32s, dy: S::f32s) -> S::f32s {
-    let [qa, qb, qc] = conic.map(|q| simd.splat_f32s(q));
-    let t = simd.mul_add_f32s(qa, dx, simd.mul_f32s(qb, dy));
-    simd.mul_add_f32s(t, dx, simd.mul_f32s(simd.mul_f32s(qc, dy), dy))
+pub(crate) fn falloff_power<S: Simd>(simd: S, conic: [f32; 3], dx: S::f32s, dy: S::f32s) -> (S::f32s, S::f32s) {
+    let [la, lb, lc] = conic.map(|q| simd.splat_f32s(q));
+    let l = simd.mul_add_f32s(la, dx, simd.mul_f32s(lb, dy));
+    (
+        simd.negate_mul_add_f32s(l, l, simd.mul_f32s(simd.mul_f32s(lc, dy), dy)),
+        l,
+    )
 }
 
 impl BlockState {

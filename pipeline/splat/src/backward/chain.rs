@@ -2,7 +2,7 @@
 
 use crate::camera::{Mode, RasterConfig, View};
 use crate::gaussians::{Colour, Gaussians};
-use crate::project::{Projected, direction, rotation};
+use crate::project::{FALLOFF, Projected, direction, rotation};
 use crate::sh;
 
 use super::MOMENTS;
@@ -74,17 +74,22 @@ impl Chain<'_> {
             (0..3).map(|i| j[3 * row + i] * n[3 * i + column]).sum()
         });
 
-        // Conic, and the gradients with respect to it and to the mean in pixels.
-        let unit = -2.0 / std::f32::consts::LOG2_E;
-        let (a, b, c) = (unit * record.qa, 0.5 * unit * record.qb, unit * record.qc);
-        let (g_mx, g_my) = (-(a * sums[1] + b * sums[2]), -(b * sums[1] + c * sums[2]));
-        let (g_a, g_b, g_c) = (-0.5 * sums[3], -0.5 * sums[4], -0.5 * sums[5]);
-        // G_S = -Q G_Q Q with G_Q = [[g_a, g_b], [g_b, g_c]] (g_b is half the gradient with respect to B).
-        let (t00, t01) = (g_a * a + g_b * b, g_a * b + g_b * c);
-        let (t10, t11) = (g_b * a + g_c * b, g_b * b + g_c * c);
-        let mut s00 = -(a * t00 + b * t10);
-        let mut s01 = -(a * t01 + b * t11);
-        let mut s11 = -(b * t01 + c * t11);
+        // Projected covariance, and the gradients with respect to it and to the mean in pixels. With
+        // p = lc dy^2 - l^2, la = sqrt(k c / det), lb = -la b / c, lc = -k / c and dL/dp = ln 2 dp, every sum below is
+        // one of squares or products of small numbers, also for needles.
+        let dot3 = |i: usize, k: usize| u[i] * u[k] + u[i + 1] * u[k + 1] + u[i + 2] * u[k + 2];
+        let (a, b, c) = (dot3(0, 0) + config.eps2d, dot3(0, 3), dot3(3, 3) + config.eps2d);
+        let (la, lb, lc) = (record.la, record.lb, record.lc);
+        // la^2 = k c / det.
+        let det = FALLOFF * c / (la * la);
+        let ln2 = std::f32::consts::LN_2;
+        let g_mx = -2.0 * ln2 * la * sums[1];
+        let g_my = 2.0 * ln2 * (lc * sums[2] - lb * sums[1]);
+        let slope = b / c;
+        let (m_ll, m_ly, m_yy) = (ln2 * sums[3], ln2 * sums[4], ln2 * sums[5]);
+        let mut s00 = m_ll * c / det;
+        let mut s01 = -m_ll * b / det + m_ly * la / c;
+        let mut s11 = m_ll * slope * b / det - 2.0 * m_ly * la * slope / c + m_yy * FALLOFF / (c * c);
         let mut g_opacity = sums[0] / record.opacity;
         if config.mode == Mode::Antialiased {
             let rho = record.opacity / gaussians.opacities[index];
@@ -92,10 +97,10 @@ impl Chain<'_> {
             if rho > config.min_compensation && rho > 0.0 {
                 // g_rho = o g_o' = sums[0] / rho.
                 let half = 0.5 * sums[0] / (rho * rho);
-                let det = a * c - b * b;
-                s00 += half * ((1.0 - rho * rho) * a - config.eps2d * det);
-                s01 += half * (1.0 - rho * rho) * b;
-                s11 += half * ((1.0 - rho * rho) * c - config.eps2d * det);
+                let (keep, low_pass) = ((1.0 - rho * rho) / det, config.eps2d / det);
+                s00 += half * (keep * c - low_pass);
+                s01 -= half * keep * b;
+                s11 += half * (keep * a - low_pass);
             }
         }
 

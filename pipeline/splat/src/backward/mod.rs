@@ -232,8 +232,8 @@ impl RenderGradient<'_> {
     }
 }
 
-/// Moments per slot before the extra channels: `sum dp (1, dx, dy, dx dx, dx dy, dy dy)` with `dp = alpha dL/dalpha`, then
-/// the gradients of red, green, blue and z.
+/// Moments per slot before the extra channels: `sum dp (1, l, dy, l l, l dy, dy dy)` with `dp = alpha dL/dalpha` and
+/// `l = la dx + lb dy`, then the gradients of red, green, blue and z.
 const MOMENTS: usize = 10;
 
 /// Gradients of one tile.

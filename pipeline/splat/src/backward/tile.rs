@@ -107,9 +107,9 @@ fn one<S: Simd, const X: usize>(
         simd.splat_f32s(batch.y[group].0[lane]),
     );
     let conic = [
-        batch.qa[group].0[lane],
-        batch.qb[group].0[lane],
-        batch.qc[group].0[lane],
+        batch.la[group].0[lane],
+        batch.lb[group].0[lane],
+        batch.lc[group].0[lane],
     ];
     let values = &batch.values[place];
     let opacity = simd.splat_f32s(values[0]);
@@ -120,13 +120,10 @@ fn one<S: Simd, const X: usize>(
         at &= at - 1;
         let dx = simd.sub_f32s(gx, load::<S>(&block.x));
         let dy = simd.sub_f32s(gy, load::<S>(&block.y));
-        let power = falloff_power(simd, conic, dx, dy);
+        let (power, l) = falloff_power(simd, conic, dx, dy);
         let unclamped = simd.mul_f32s(opacity, exp2(simd, power));
         let alpha = simd.min_f32s(alpha_max, unclamped);
-        let touched = simd.and_m32s(
-            simd.greater_than_or_equal_f32s(alpha, cut),
-            simd.less_than_or_equal_f32s(power, zero),
-        );
+        let touched = simd.greater_than_or_equal_f32s(alpha, cut);
         let before_end = simd.greater_than_u32s(bytemuck::cast(block.end), here);
         let alpha = simd.select_f32s(simd.and_m32s(touched, before_end), alpha, zero);
         let transmittance = simd.div_f32s(load::<S>(&block.transmittance), simd.sub_f32s(unit, alpha));
@@ -141,12 +138,12 @@ fn one<S: Simd, const X: usize>(
         block.behind = store::<S>(simd.mul_add_f32s(alpha, difference, behind));
         let free = simd.less_than_or_equal_f32s(unclamped, alpha_max);
         let dp = simd.select_f32s(free, simd.mul_f32s(weight, difference), zero);
-        let (dpx, dpy) = (simd.mul_f32s(dp, dx), simd.mul_f32s(dp, dy));
+        let (dpl, dpy) = (simd.mul_f32s(dp, l), simd.mul_f32s(dp, dy));
         sums[0] = simd.add_f32s(sums[0], dp);
-        sums[1] = simd.add_f32s(sums[1], dpx);
+        sums[1] = simd.add_f32s(sums[1], dpl);
         sums[2] = simd.add_f32s(sums[2], dpy);
-        sums[3] = simd.mul_add_f32s(dpx, dx, sums[3]);
-        sums[4] = simd.mul_add_f32s(dpx, dy, sums[4]);
+        sums[3] = simd.mul_add_f32s(dpl, l, sums[3]);
+        sums[4] = simd.mul_add_f32s(dpl, dy, sums[4]);
         sums[5] = simd.mul_add_f32s(dpy, dy, sums[5]);
         for k in 0..4 + X {
             sums[6 + k] = simd.mul_add_f32s(weight, load::<S>(&block.gradient[k]), sums[6 + k]);
