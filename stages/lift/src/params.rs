@@ -1,0 +1,127 @@
+//! Parameters of the stage; the defaults are the paper's method.
+
+use rogs_networks::stage1::decode::{MOTION_GATE_IU, MotionGates};
+use rogs_worker::{StageError, StageResult};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// What determines a field besides its inputs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct LiftParams {
+    /// Sizes of the network when there is no weights file: `compact` or `full`. A weights file brings its own.
+    pub configuration: String,
+    /// Seed of generated weights, when there is no weights file.
+    pub seed: u64,
+    /// Mesh source anchoring: source depth of robot pixels is the mesh depth.
+    pub anchoring: bool,
+    /// Largest activated scale of an anchored Gaussian in source pixels at its depth; null for no cap. Without anchoring
+    /// there is none.
+    pub footprint_px: Option<f32>,
+    /// FK conditioning: the residual branch sees the conditioning maps; otherwise it sees zeros.
+    pub fk_conditioning: bool,
+    /// What the global blocks attend to.
+    pub attention: CrossCamera,
+    /// Where the motion of robot pixels comes from.
+    pub robot_motion: RobotMotion,
+    /// Displacement from which colour, scale and rotation take the query-time value, internal units.
+    pub motion_gate_iu: f32,
+    /// Displacement from which opacity takes the query-time value, internal units.
+    pub opacity_gate_iu: f32,
+    /// Area-downsample the source images by this factor and restore their size (1: leave them).
+    pub rgb_downsample: u32,
+    /// Source times to use, clip frames; null for all of the clip.
+    pub source_frames: Option<Vec<u32>>,
+    /// Whether the field keeps what is needed to be asked at other times.
+    pub query_state: QueryState,
+}
+
+/// What a token of a global block sees.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum CrossCamera {
+    /// Every token of the clip.
+    Joint,
+    /// Tokens of its own camera; the cameras' fields are merged by calibration.
+    WithinCamera,
+}
+
+/// Where the motion of robot pixels comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum RobotMotion {
+    /// The network: visual displacement plus the FK-conditioned residual.
+    Network,
+    /// Forward kinematics alone (a diagnostic): centres and covariances of robot pixels move with their link.
+    Kinematics,
+}
+
+/// Whether the field keeps the state of the motion heads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum QueryState {
+    /// Where it is small: every configuration but `full`.
+    Auto,
+    /// Always.
+    Keep,
+    /// Never.
+    Drop,
+}
+
+impl Default for LiftParams {
+    fn default() -> Self {
+        Self {
+            configuration: "compact".into(),
+            seed: 73,
+            anchoring: true,
+            footprint_px: Some(1.5),
+            fk_conditioning: true,
+            attention: CrossCamera::Joint,
+            robot_motion: RobotMotion::Network,
+            motion_gate_iu: MOTION_GATE_IU,
+            opacity_gate_iu: MOTION_GATE_IU,
+            rgb_downsample: 1,
+            source_frames: None,
+            query_state: QueryState::Auto,
+        }
+    }
+}
+
+impl LiftParams {
+    /// Checks the values.
+    ///
+    /// # Errors
+    /// Names the parameter that is out of range.
+    pub fn validate(&self) -> StageResult<()> {
+        let threshold = |value: f32| value.is_finite() && value >= 0.0;
+        if !threshold(self.motion_gate_iu) || !threshold(self.opacity_gate_iu) {
+            return Err(StageError::bad_params("`motion_gate_iu` and `opacity_gate_iu` must be 0 or more"));
+        }
+        if self.footprint_px.is_some_and(|pixels| !(pixels.is_finite() && pixels > 0.0)) {
+            return Err(StageError::bad_params("`footprint_px` must be more than 0, or null"));
+        }
+        if !(1..=64).contains(&self.rgb_downsample) {
+            return Err(StageError::bad_params("`rgb_downsample` must be from 1 to 64"));
+        }
+        if self.source_frames.as_ref().is_some_and(|frames| frames.is_empty() || frames.windows(2).any(|pair| pair[0] >= pair[1])) {
+            return Err(StageError::bad_params("`source_frames` must name at least one frame, in ascending order"));
+        }
+        Ok(())
+    }
+
+    /// The motion gates.
+    #[must_use]
+    pub fn gates(&self) -> MotionGates {
+        MotionGates { attributes_iu: self.motion_gate_iu, opacity_iu: self.opacity_gate_iu }
+    }
+
+    /// Whether fields of this configuration keep their query state.
+    #[must_use]
+    pub fn keeps_query_state(&self, configuration: &str) -> bool {
+        match self.query_state {
+            QueryState::Auto => configuration != "full",
+            QueryState::Keep => true,
+            QueryState::Drop => false,
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! The source frames of a clip as the network sees them: reconstruction frame, internal units.
+
+use burn::tensor::{Device, Tensor};
+use glam::{DQuat, DVec3};
+use rogs_geometry::transform::{Base, Camera as CameraFrame, Link, Pose, Recon};
+use rogs_networks::parameters::from_host;
+use rogs_networks::stage1::{Attention, Camera, SourceFrames};
+use rogs_schemas::Intrinsics;
+use rogs_schemas::records::clip::{Clip, SourceView, time_of_frame};
+use rogs_schemas::records::conditioning::{Conditioning, KAPPA_CHANNELS};
+use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
+use rogs_schemas::units::UNITS_PER_METRE;
+use rogs_worker::{StageError, StageResult};
+
+use crate::params::{CrossCamera, LiftParams};
+use crate::rgb;
+
+/// One source view with everything that belongs to it.
+pub(crate) struct View<'a> {
+    pub(crate) view: SourceView,
+    /// Index among the views of the conditioning record.
+    pub(crate) conditioning: usize,
+    pub(crate) map: &'a RobotMap,
+    pub(crate) camera: Camera,
+    pub(crate) intrinsics: Intrinsics,
+    rgb: &'a [u8],
+}
+
+/// The inputs of a clip, checked against each other.
+pub(crate) struct Source<'a> {
+    pub(crate) clip: &'a Clip,
+    pub(crate) robot: &'a RobotMaps,
+    pub(crate) conditioning: &'a Conditioning,
+    pub(crate) views: Vec<View<'a>>,
+}
+
+/// How the robot moves from one view's time to a query time.
+#[derive(Debug, Clone)]
+pub struct RobotAtTime {
+    /// Conditioning map of the view for the query time. `[7, H, W]`
+    pub kappa: Vec<f32>,
+    /// Per link: rotation (w, x, y, z) of T(t) T(s)^-1 in the reconstruction frame. Needed for kinematic transport.
+    pub link_rotation: Vec<[f32; 4]>,
+}
+
+impl<'a> Source<'a> {
+    /// Gathers the source views of a clip.
+    pub(crate) fn new(clip: &'a Clip, robot: &'a RobotMaps, conditioning: &'a Conditioning, params: &LiftParams) -> StageResult<Self> {
+        for (what, id) in [("robot maps", &robot.clip_id), ("conditioning", &conditioning.clip_id)] {
+            if *id != clip.clip_id {
+                return Err(StageError::bad_input(format!("the {what} are those of clip `{id}`, not of `{}`", clip.clip_id)));
+            }
+        }
+        let sizes = [(robot.height, robot.width), (conditioning.height, conditioning.width)];
+        if sizes.iter().any(|&size| size != (clip.height, clip.width)) {
+            let (height, width) = (clip.height, clip.width);
+            return Err(StageError::bad_input(format!("robot maps or conditioning are not {height}x{width} as the clip is")));
+        }
+        let recon_from_base = pose::<Recon, Base>(&robot.recon_from_base)?;
+        let chosen = chosen_views(clip, params)?;
+        let views = chosen.into_iter().map(|view| gather(clip, robot, conditioning, &recon_from_base, view)).collect::<StageResult<_>>()?;
+        Ok(Self { clip, robot, conditioning, views })
+    }
+
+    /// Pixels of one image.
+    pub(crate) fn area(&self) -> usize {
+        self.clip.height as usize * self.clip.width as usize
+    }
+
+    /// The frames as network input; images are also returned for the colour shortcut. `[S, 3, H, W]`
+    pub(crate) fn frames(&self, params: &LiftParams, device: &Device) -> (SourceFrames, Tensor<4>) {
+        let (height, width) = (self.clip.height as usize, self.clip.width as usize);
+        let mut images = Vec::with_capacity(self.views.len() * 3 * self.area());
+        for view in &self.views {
+            let planes = rgb::planar(view.rgb);
+            match params.rgb_downsample {
+                1 => images.extend(planes),
+                factor => {
+                    let degraded = |plane| rgb::degrade(plane, height, width, factor as usize);
+                    planes.chunks_exact(self.area()).for_each(|plane| images.extend(degraded(plane)));
+                }
+            }
+        }
+        let images = from_host(images, [self.views.len(), 3, height, width], device);
+        let attention = match params.attention {
+            CrossCamera::Joint => Attention::Joint,
+            CrossCamera::WithinCamera => Attention::WithinCamera(self.views.iter().map(|view| view.view.camera).collect()),
+        };
+        let frames = SourceFrames {
+            images: images.clone(),
+            cameras: self.views.iter().map(|view| view.camera).collect(),
+            times: self.views.iter().map(|view| time_of_frame(view.view.frame, self.clip.frame_count()) as f32).collect(),
+            attention,
+        };
+        (frames, images)
+    }
+
+    /// How the robot moves from view `index` to a clip frame. `position_m` are the source positions of the view's pixels
+    /// when they are not the mesh's own (no anchoring): the FK displacement is then taken at those.
+    pub(crate) fn robot_at(&self, index: usize, frame: u32, position_m: Option<&[f32]>) -> StageResult<RobotAtTime> {
+        let view = &self.views[index];
+        let motions = self.link_motions(view.view.frame, frame)?;
+        let area = self.area();
+        let query = self.conditioning.query_frames.iter().position(|&stored| stored == frame).ok_or_else(|| {
+            StageError::bad_input(format!("the conditioning has no maps for frame {frame}; it stores {:?}", self.conditioning.query_frames))
+        })?;
+        let mut kappa = self.conditioning.dense(view.conditioning, query);
+        debug_assert_eq!(kappa.len(), KAPPA_CHANNELS * area);
+        if let Some(positions) = position_m {
+            let maps = &self.conditioning.view_maps[view.conditioning];
+            for (&pixel, &link) in maps.pixels.iter().zip(&maps.link) {
+                let Some(motion) = motions.get(usize::from(link)) else { continue };
+                let pixel = pixel as usize;
+                let point = DVec3::from_array(std::array::from_fn(|axis| f64::from(positions[3 * pixel + axis])));
+                let moved = motion.point(point) - point;
+                for axis in 0..3 {
+                    kappa[(2 + axis) * area + pixel] = (moved[axis] * UNITS_PER_METRE) as f32;
+                }
+            }
+        }
+        let wxyz = |q: DQuat| [q.w as f32, q.x as f32, q.y as f32, q.z as f32];
+        Ok(RobotAtTime { kappa, link_rotation: motions.iter().map(|motion| wxyz(motion.quaternion())).collect() })
+    }
+
+    /// T(t) T(s)^-1 of every link in the reconstruction frame, metres.
+    fn link_motions(&self, source: u32, query: u32) -> StageResult<Vec<Pose<Recon, Recon>>> {
+        let links = self.robot.link_names.len();
+        let recon_from_base = pose::<Recon, Base>(&self.robot.recon_from_base)?;
+        let at = |frame: u32, link: usize| -> StageResult<Pose<Recon, Link>> {
+            let index = frame as usize * links + link;
+            let stored = self.robot.base_from_link.get(index);
+            let stored = stored.ok_or_else(|| StageError::bad_input(format!("the robot maps have no link poses for frame {frame}")))?;
+            Ok(recon_from_base * pose::<Base, Link>(stored)?)
+        };
+        (0..links).map(|link| Ok(at(query, link)? * at(source, link)?.inverse())).collect()
+    }
+}
+
+/// The views to lift, in token order.
+fn chosen_views(clip: &Clip, params: &LiftParams) -> StageResult<Vec<SourceView>> {
+    if let Some(frames) = &params.source_frames
+        && let Some(unknown) = frames.iter().find(|frame| !clip.source_frames.contains(frame))
+    {
+        let known = &clip.source_frames;
+        return Err(StageError::bad_params(format!("`source_frames` names frame {unknown}, the clip's source frames are {known:?}")));
+    }
+    let wanted = |view: &SourceView| params.source_frames.as_ref().is_none_or(|frames| frames.contains(&view.frame));
+    let views: Vec<SourceView> = clip.source_views().into_iter().filter(wanted).collect();
+    if views.is_empty() {
+        return Err(StageError::bad_input("the clip has no source views"));
+    }
+    Ok(views)
+}
+
+/// Everything of one view.
+fn gather<'a>(
+    clip: &'a Clip,
+    robot: &'a RobotMaps,
+    conditioning: &Conditioning,
+    recon_from_base: &Pose<Recon, Base>,
+    view: SourceView,
+) -> StageResult<View<'a>> {
+    let (camera, frame) = (&clip.cameras[view.camera as usize], view.frame as usize);
+    let missing = |what: &str| StageError::bad_input(format!("there is no {what} for camera `{}` at frame {frame}", camera.id));
+    let area = clip.height as usize * clip.width as usize;
+    let rgb = camera.rgb.as_ref().and_then(|rgb| rgb.get(frame * area * 3..(frame + 1) * area * 3)).ok_or_else(|| missing("source image"))?;
+    let stored = robot.base_from_camera.get(view.camera as usize * clip.frame_count() + frame).ok_or_else(|| missing("camera pose"))?;
+    let recon_from_camera = *recon_from_base * pose::<Base, CameraFrame>(stored)?;
+    let same = |map: &&RobotMap| map.camera == view.camera && map.frame == view.frame;
+    let map = robot.maps.iter().find(same).ok_or_else(|| missing("robot map"))?;
+    let conditioning = conditioning.views.iter().position(|other| *other == view).ok_or_else(|| missing("conditioning"))?;
+    let (width, height, intrinsics) = (f64::from(clip.width), f64::from(clip.height), camera.intrinsics);
+    let focal_centre = [intrinsics.fx / width, intrinsics.fy / height, intrinsics.cx / width, intrinsics.cy / height];
+    let matrix = recon_from_camera.to_rigid();
+    let translation_iu = matrix.translation.map(|metres| metres * UNITS_PER_METRE);
+    let network_camera = Camera { rotation: matrix.rotation, translation_iu, focal_centre };
+    Ok(View { view, conditioning, map, camera: network_camera, intrinsics, rgb })
+}
+
+/// A stored pose with its frames.
+fn pose<A: rogs_geometry::transform::Frame, B: rogs_geometry::transform::Frame>(stored: &rogs_schemas::RigidPose) -> StageResult<Pose<A, B>> {
+    Pose::from_rigid(stored).map_err(|error| StageError::bad_input(error.to_string()))
+}
+
+/// Mesh depth in metres of a pixel with valid robot support.
+pub(crate) fn mesh_depth_m(map: &RobotMap, pixel: usize) -> Option<f32> {
+    (map.support[pixel] != 0 && map.link[pixel] != NO_LINK).then(|| map.depth_m[pixel])
+}
