@@ -2,9 +2,7 @@
 
 use rayon::prelude::*;
 use rogs_schemas::RigidPose;
-use rogs_schemas::records::clip::{
-    CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Tracks,
-};
+use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Tracks};
 use rogs_worker::{StageError, StageResult};
 
 use crate::params::{Params, QueryChoice, QueryPlanName};
@@ -43,8 +41,11 @@ pub(crate) fn assemble(mut source: Source, params: &Params, clip_id: &str) -> St
     let mut warnings = std::mem::take(&mut source.warnings);
     let interval = interval(&source, params)?;
     let chosen = choose_cameras(&mut source, params)?;
-    let decoded: StageResult<Vec<(ClipCamera, Vec<String>)>> =
-        source.cameras.par_iter().map(|camera| make_camera(camera, &source, interval, params)).collect();
+    let decoded: StageResult<Vec<(ClipCamera, Vec<String>)>> = source
+        .cameras
+        .par_iter()
+        .map(|camera| make_camera(camera, &source, interval, params))
+        .collect();
     let mut cameras = Vec::with_capacity(source.cameras.len());
     for (camera, said) in decoded? {
         cameras.push(camera);
@@ -55,7 +56,10 @@ pub(crate) fn assemble(mut source: Source, params: &Params, clip_id: &str) -> St
         Some(tracks) => make_tracks(tracks, &chosen, &source, interval, params, &mut warnings)?,
     };
     let first_source = params.source_frames.first().copied().unwrap_or(0);
-    let anchor_frame = params.anchor_frame.or(tracks.as_ref().map(|tracks| tracks.anchor_frame)).unwrap_or(first_source);
+    let anchor_frame = params
+        .anchor_frame
+        .or(tracks.as_ref().map(|tracks| tracks.anchor_frame))
+        .unwrap_or(first_source);
     let query_frames = match &params.query {
         QueryChoice::Plan(QueryPlanName::All) => (0..params.frames).collect(),
         QueryChoice::Plan(QueryPlanName::Paper) => {
@@ -106,7 +110,8 @@ fn interval(source: &Source, params: &Params) -> StageResult<Interval> {
             source.frame_count,
             u64::from(start) + span
         );
-        return Err(StageError::bad_input(text).with_hint("set `start_frame`, `frames` or `frame_step` to what the episode has"));
+        return Err(StageError::bad_input(text)
+            .with_hint("set `start_frame`, `frames` or `frame_step` to what the episode has"));
     }
     Ok(Interval { start, step, count })
 }
@@ -119,27 +124,45 @@ fn choose_cameras(source: &mut Source, params: &Params) -> StageResult<Vec<Optio
         let mut kept = Vec::new();
         for choice in &params.cameras {
             let position = names.iter().position(|name| *name == choice.from).ok_or_else(|| {
-                StageError::bad_params(format!("the episode has no camera `{}`, it has {}", choice.from, names.join(", ")))
+                StageError::bad_params(format!(
+                    "the episode has no camera `{}`, it has {}",
+                    choice.from,
+                    names.join(", ")
+                ))
             })?;
             renamed[position] = choice.id.clone();
             kept.push(position);
         }
-        let mut cameras: Vec<Option<SourceCamera>> = std::mem::take(&mut source.cameras).into_iter().map(Some).collect();
+        let mut cameras: Vec<Option<SourceCamera>> =
+            std::mem::take(&mut source.cameras).into_iter().map(Some).collect();
         for position in kept {
             let camera = cameras[position].take();
-            let mut camera = camera.ok_or_else(|| StageError::bad_params(format!("camera `{}` is chosen twice", names[position])))?;
+            let mut camera = camera
+                .ok_or_else(|| StageError::bad_params(format!("camera `{}` is chosen twice", names[position])))?;
             camera.id = renamed[position].clone();
             camera.partner = camera.partner.map(|partner| {
-                names.iter().position(|name| *name == partner).map_or(partner, |position| renamed[position].clone())
+                names
+                    .iter()
+                    .position(|name| *name == partner)
+                    .map_or(partner, |position| renamed[position].clone())
             });
             source.cameras.push(camera);
         }
     }
     source.cameras.sort_by_key(|camera| camera.role != CameraRole::Source);
     if !source.cameras.iter().any(|camera| camera.role == CameraRole::Source) {
-        return Err(StageError::bad_input(format!("episode `{}` has no source camera", source.episode_id)));
+        return Err(StageError::bad_input(format!(
+            "episode `{}` has no source camera",
+            source.episode_id
+        )));
     }
-    let place = |name: &String| source.cameras.iter().position(|camera| camera.id == *name).map(|place| place as u32);
+    let place = |name: &String| {
+        source
+            .cameras
+            .iter()
+            .position(|camera| camera.id == *name)
+            .map(|place| place as u32)
+    };
     Ok(renamed.iter().map(place).collect())
 }
 
@@ -154,7 +177,10 @@ fn make_camera(
     let area = params.width as usize * params.height as usize;
     let mut warnings = Vec::new();
     if camera.role == CameraRole::Source && camera.images.is_none() {
-        return Err(StageError::bad_input(format!("source camera `{}` of episode `{}` has no images", camera.id, source.episode_id)));
+        return Err(StageError::bad_input(format!(
+            "source camera `{}` of episode `{}` has no images",
+            camera.id, source.episode_id
+        )));
     }
     let rgb = match &camera.images {
         None => None,
@@ -168,8 +194,13 @@ fn make_camera(
         None => None,
         Some(depth) => {
             let mut depth_m = Vec::with_capacity(interval.count as usize * area);
-            depth.read(interval.triple(), source.frame_count, size, |map| depth_m.extend(mapping.nearest(map)))?;
-            Some(DepthReference { depth_m, range_m: params.depth_range_m.unwrap_or(depth.range_m) })
+            depth.read(interval.triple(), source.frame_count, size, |map| {
+                depth_m.extend(mapping.nearest(map))
+            })?;
+            Some(DepthReference {
+                depth_m,
+                range_m: params.depth_range_m.unwrap_or(depth.range_m),
+            })
         }
     };
     let partner = match &camera.partner {
@@ -178,30 +209,53 @@ fn make_camera(
             let fits = |other: &SourceCamera| other.id == *name && other.role == CameraRole::Source;
             let found = source.cameras.iter().position(fits);
             if found.is_none() {
-                warnings.push(format!("the partner `{name}` of camera `{}` is no source camera of the clip", camera.id));
+                warnings.push(format!(
+                    "the partner `{name}` of camera `{}` is no source camera of the clip",
+                    camera.id
+                ));
             }
             found.map(|position| position as u32)
         }
     };
     let mount = match &camera.mount {
-        SourceMount::Fixed(base_from_camera) => CameraMount::Fixed { base_from_camera: *base_from_camera },
-        SourceMount::HandEye { link, link_from_camera } => {
-            CameraMount::HandEye { link: link.clone(), link_from_camera: *link_from_camera }
-        }
+        SourceMount::Fixed(base_from_camera) => CameraMount::Fixed {
+            base_from_camera: *base_from_camera,
+        },
+        SourceMount::HandEye { link, link_from_camera } => CameraMount::HandEye {
+            link: link.clone(),
+            link_from_camera: *link_from_camera,
+        },
         SourceMount::Trajectory(poses) => {
             let pose = |frame: u32| poses.get(frame as usize).copied();
             let poses: Option<Vec<RigidPose>> = interval.frames().map(pose).collect();
             let missing = || StageError::bad_input(format!("the trajectory of camera `{}` is too short", camera.id));
-            CameraMount::Trajectory { base_from_camera: poses.ok_or_else(missing)? }
+            CameraMount::Trajectory {
+                base_from_camera: poses.ok_or_else(missing)?,
+            }
         }
     };
     let intrinsics = mapping.intrinsics(camera.intrinsics);
-    Ok((ClipCamera { id: camera.id.clone(), role: camera.role, partner, intrinsics, mount, rgb, depth }, warnings))
+    Ok((
+        ClipCamera {
+            id: camera.id.clone(),
+            role: camera.role,
+            partner,
+            intrinsics,
+            mount,
+            rgb,
+            depth,
+        },
+        warnings,
+    ))
 }
 
 fn make_states(states: &States, interval: Interval) -> RobotStates {
     let joints = states.joint_names.len();
-    let row = |frame: u32| states.positions[frame as usize * joints..(frame as usize + 1) * joints].iter().copied();
+    let row = |frame: u32| {
+        states.positions[frame as usize * joints..(frame as usize + 1) * joints]
+            .iter()
+            .copied()
+    };
     RobotStates {
         joint_names: states.joint_names.clone(),
         positions: interval.frames().flat_map(row).collect(),
@@ -219,15 +273,28 @@ fn make_tracks(
     warnings: &mut Vec<String>,
 ) -> StageResult<Option<Tracks>> {
     let Some(anchor_frame) = interval.clip_frame(tracks.anchor_frame) else {
-        warnings.push(format!("the tracks are anchored at episode frame {}, outside the clip: left out", tracks.anchor_frame));
+        warnings.push(format!(
+            "the tracks are anchored at episode frame {}, outside the clip: left out",
+            tracks.anchor_frame
+        ));
         return Ok(None);
     };
     let frames = source.frame_count as usize;
-    let mut kept = Tracks { anchor_frame, camera: vec![], pixel: vec![], position_m: vec![], visible: vec![] };
+    let mut kept = Tracks {
+        anchor_frame,
+        camera: vec![],
+        pixel: vec![],
+        position_m: vec![],
+        visible: vec![],
+    };
     for (index, &camera) in tracks.camera.iter().enumerate() {
         let place = places.get(camera as usize).copied();
         let place = place.ok_or_else(|| {
-            StageError::bad_input(format!("track {index} lies in camera {camera} of {} (episode `{}`)", places.len(), source.episode_id))
+            StageError::bad_input(format!(
+                "track {index} lies in camera {camera} of {} (episode `{}`)",
+                places.len(),
+                source.episode_id
+            ))
         })?;
         let Some(place) = place else { continue };
         let of = &source.cameras[place as usize];
@@ -243,13 +310,17 @@ fn make_tracks(
         kept.pixel.extend(pixel);
         for frame in interval.frames() {
             let at = index * frames + frame as usize;
-            kept.position_m.extend_from_slice(&tracks.position_m[3 * at..3 * at + 3]);
+            kept.position_m
+                .extend_from_slice(&tracks.position_m[3 * at..3 * at + 3]);
             kept.visible.push(tracks.visible[at]);
         }
     }
     let lost = tracks.camera.len() - kept.camera.len();
     if lost > 0 {
-        warnings.push(format!("{lost} of {} tracks lie outside the clip's images: left out", tracks.camera.len()));
+        warnings.push(format!(
+            "{lost} of {} tracks lie outside the clip's images: left out",
+            tracks.camera.len()
+        ));
     }
     Ok(Some(kept))
 }

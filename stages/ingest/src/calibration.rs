@@ -59,7 +59,10 @@ impl Calibration {
         let file = serde_json::from_str(&text).map_err(|error| {
             wrong(path, format!("not a calibration file: {error}")).with_hint("docs/calibration-format.md shows one")
         })?;
-        Ok(Self { path: path.to_owned(), file })
+        Ok(Self {
+            path: path.to_owned(),
+            file,
+        })
     }
 
     /// Names of the cameras in it.
@@ -71,7 +74,11 @@ impl Calibration {
     pub(crate) fn note(&self) -> String {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
         let status = &self.file.status;
-        if status.is_empty() { name.into_owned() } else { format!("{name}: {status}") }
+        if status.is_empty() {
+            name.into_owned()
+        } else {
+            format!("{name}: {status}")
+        }
     }
 
     /// The calibration of a camera known under any of these names, for images of this size.
@@ -82,7 +89,10 @@ impl Calibration {
         let path = &self.path;
         let [[fx, skew, cx], [below, fy, cy], last] = entry.intrinsic;
         if skew != 0.0 || below != 0.0 || last != [0.0, 0.0, 1.0] {
-            return Err(wrong(path, format!("the intrinsic matrix of `{name}` has more than fx, fy, cx, cy")));
+            return Err(wrong(
+                path,
+                format!("the intrinsic matrix of `{name}` has more than fx, fy, cx, cy"),
+            ));
         }
         let [width, height] = self.file.image_size;
         let what = format!("camera `{name}`");
@@ -90,30 +100,59 @@ impl Calibration {
             PixelCentres::Half => 0.0,
             PixelCentres::Integer => 0.5,
         };
-        let recorded = Intrinsics { fx, fy, cx: cx + shift, cy: cy + shift };
+        let recorded = Intrinsics {
+            fx,
+            fy,
+            cx: cx + shift,
+            cy: cy + shift,
+        };
         let recorded = checks::intrinsics(recorded, (width, height), &what, path)?;
-        let (sx, sy) = (f64::from(size.0) / f64::from(width), f64::from(size.1) / f64::from(height));
-        let intrinsics =
-            Intrinsics { fx: recorded.fx * sx, fy: recorded.fy * sy, cx: recorded.cx * sx, cy: recorded.cy * sy };
-        Ok(Some(Calibrated { intrinsics, mount: self.mount(name, entry)? }))
+        let (sx, sy) = (
+            f64::from(size.0) / f64::from(width),
+            f64::from(size.1) / f64::from(height),
+        );
+        let intrinsics = Intrinsics {
+            fx: recorded.fx * sx,
+            fy: recorded.fy * sy,
+            cx: recorded.cx * sx,
+            cy: recorded.cy * sy,
+        };
+        Ok(Some(Calibrated {
+            intrinsics,
+            mount: self.mount(name, entry)?,
+        }))
     }
 
     fn mount(&self, name: &str, entry: &Entry) -> StageResult<Option<SourceMount>> {
         let path = &self.path;
-        let link = entry.link.as_ref().or(entry.mount.as_ref().filter(|mount| *mount != "fixed"));
+        let link = entry
+            .link
+            .as_ref()
+            .or(entry.mount.as_ref().filter(|mount| *mount != "fixed"));
         Ok(match (&entry.camera_to_base, &entry.camera_to_link, link) {
             (Some(_), Some(_), _) => {
-                return Err(wrong(path, format!("camera `{name}` has both `camera_to_base` and `camera_to_link`")));
+                return Err(wrong(
+                    path,
+                    format!("camera `{name}` has both `camera_to_base` and `camera_to_link`"),
+                ));
             }
-            (Some(matrix), None, _) => {
-                Some(SourceMount::Fixed(checks::rigid_pose(matrix, &format!("`camera_to_base` of `{name}`"), path)?))
-            }
+            (Some(matrix), None, _) => Some(SourceMount::Fixed(checks::rigid_pose(
+                matrix,
+                &format!("`camera_to_base` of `{name}`"),
+                path,
+            )?)),
             (None, Some(matrix), Some(link)) => {
                 let what = format!("`camera_to_link` of `{name}`");
-                Some(SourceMount::HandEye { link: link.clone(), link_from_camera: checks::rigid_pose(matrix, &what, path)? })
+                Some(SourceMount::HandEye {
+                    link: link.clone(),
+                    link_from_camera: checks::rigid_pose(matrix, &what, path)?,
+                })
             }
             (None, Some(_), None) => {
-                return Err(wrong(path, format!("camera `{name}` has `camera_to_link` but no `link`")));
+                return Err(wrong(
+                    path,
+                    format!("camera `{name}` has `camera_to_link` but no `link`"),
+                ));
             }
             (None, None, _) => None,
         })

@@ -17,7 +17,10 @@ pub(crate) fn wrong(path: &Path, what: impl std::fmt::Display) -> StageError {
 pub(crate) fn read_text(path: &Path, limit: u64) -> StageResult<String> {
     let length = std::fs::metadata(path).map_err(|error| io_error(path, &error))?.len();
     if length > limit {
-        return Err(wrong(path, format!("{length} bytes are more than the {limit} that such a file may have")));
+        return Err(wrong(
+            path,
+            format!("{length} bytes are more than the {limit} that such a file may have"),
+        ));
     }
     std::fs::read_to_string(path).map_err(|error| io_error(path, &error))
 }
@@ -34,16 +37,24 @@ pub(crate) fn io_error(path: &Path, error: &std::io::Error) -> StageError {
 /// A path named by a file, below the folder it belongs to.
 pub(crate) fn inside(folder: &Path, relative: &str, named_by: &Path) -> StageResult<PathBuf> {
     let path = Path::new(relative);
-    let plain = path.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
+    let plain = path
+        .components()
+        .all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
     if relative.is_empty() || !plain {
-        return Err(wrong(named_by, format!("the path `{relative}` does not stay inside the folder")));
+        return Err(wrong(
+            named_by,
+            format!("the path `{relative}` does not stay inside the folder"),
+        ));
     }
     let joined = folder.join(path);
     // Links that lead out are refused where the file exists; a missing file is reported by whoever opens it.
     if let (Ok(real), Ok(root)) = (joined.canonicalize(), folder.canonicalize())
         && !real.starts_with(&root)
     {
-        return Err(wrong(named_by, format!("the path `{relative}` leads out of the folder through a link")));
+        return Err(wrong(
+            named_by,
+            format!("the path `{relative}` leads out of the folder through a link"),
+        ));
     }
     Ok(joined)
 }
@@ -55,7 +66,9 @@ pub(crate) fn rigid_pose(matrix: &[[f64; 4]; 4], what: &str, path: &Path) -> Sta
         return Err(wrong(path, format!("{what} is all zeros: it was never filled in"))
             .with_hint("give a calibration file, see docs/calibration-format.md"));
     }
-    let flat: [f64; 16] = flat.try_into().map_err(|_| wrong(path, format!("{what} is not a 4x4 matrix")))?;
+    let flat: [f64; 16] = flat
+        .try_into()
+        .map_err(|_| wrong(path, format!("{what} is not a 4x4 matrix")))?;
     let pose: Pose<Base, Camera> =
         Pose::from_matrix4(&flat).map_err(|error| wrong(path, format!("{what} is not rigid: {error}")))?;
     plausible(pose, what, path)
@@ -90,10 +103,16 @@ fn plausible(pose: Pose<Base, Camera>, what: &str, path: &Path) -> StageResult<R
 pub(crate) fn intrinsics(intrinsics: Intrinsics, size: (u32, u32), what: &str, path: &Path) -> StageResult<Intrinsics> {
     let Intrinsics { fx, fy, cx, cy } = intrinsics;
     if ![fx, fy, cx, cy].iter().all(|value| value.is_finite()) {
-        return Err(wrong(path, format!("the intrinsics of {what} are not finite: fx {fx} fy {fy} cx {cx} cy {cy}")));
+        return Err(wrong(
+            path,
+            format!("the intrinsics of {what} are not finite: fx {fx} fy {fy} cx {cx} cy {cy}"),
+        ));
     }
     if fx <= 0.0 || fy <= 0.0 {
-        return Err(wrong(path, format!("the focal lengths of {what} are {fx} and {fy}, they must be above 0")));
+        return Err(wrong(
+            path,
+            format!("the focal lengths of {what} are {fx} and {fy}, they must be above 0"),
+        ));
     }
     let (width, height) = (f64::from(size.0), f64::from(size.1));
     if !(0.0..=width).contains(&cx) || !(0.0..=height).contains(&cy) {
@@ -134,7 +153,13 @@ pub(crate) fn states(states: &States, row_name: &str, path: &Path) -> StageResul
 /// A name that can be a file name (`[A-Za-z0-9._+-]{1,128}`): every other character becomes `_`.
 #[must_use]
 pub fn safe_name(name: &str) -> String {
-    let safe = |c: char| if c.is_ascii_alphanumeric() || "._+-".contains(c) { c } else { '_' };
+    let safe = |c: char| {
+        if c.is_ascii_alphanumeric() || "._+-".contains(c) {
+            c
+        } else {
+            '_'
+        }
+    };
     let mut mapped: String = name.chars().take(128).map(safe).collect();
     if mapped.is_empty() || mapped == "." || mapped == ".." || mapped.starts_with('-') {
         mapped.insert(0, '_');
@@ -146,7 +171,10 @@ pub fn safe_name(name: &str) -> String {
 /// An episode id from a file: not empty, not absurdly long, no control characters.
 pub(crate) fn episode_id(id: &str, path: &Path) -> StageResult<String> {
     if id.is_empty() || id.len() > 128 || id.chars().any(char::is_control) {
-        return Err(wrong(path, format!("the episode id {id:?} must have 1 to 128 bytes and no control characters")));
+        return Err(wrong(
+            path,
+            format!("the episode id {id:?} must have 1 to 128 bytes and no control characters"),
+        ));
     }
     Ok(id.to_owned())
 }
@@ -168,7 +196,12 @@ mod tests {
     #[test]
     fn poses_that_are_not_rigid_are_refused() {
         let path = Path::new("episode.json");
-        let turned = [[0.0, -1.0, 0.0, 0.1], [1.0, 0.0, 0.0, 0.2], [0.0, 0.0, 1.0, 0.3], [0.0, 0.0, 0.0, 1.0]];
+        let turned = [
+            [0.0, -1.0, 0.0, 0.1],
+            [1.0, 0.0, 0.0, 0.2],
+            [0.0, 0.0, 1.0, 0.3],
+            [0.0, 0.0, 0.0, 1.0],
+        ];
         assert_eq!(rigid_pose(&turned, "pose", path).unwrap().translation, [0.1, 0.2, 0.3]);
         let change = |row: usize, column: usize, value: f64| {
             let mut matrix = turned;
@@ -180,24 +213,46 @@ mod tests {
         assert!(change(3, 0, 0.1).contains("last row"));
         assert!(change(0, 3, f64::NAN).contains("not finite"));
         assert!(change(0, 3, 450.0).contains("450.0 m"));
-        assert!(rigid_pose(&[[0.0; 4]; 4], "pose", path).unwrap_err().message.contains("all zeros"));
-        assert!(euler_pose(&[0.0; 6], "pose", path).unwrap_err().message.contains("all zeros"));
+        assert!(
+            rigid_pose(&[[0.0; 4]; 4], "pose", path)
+                .unwrap_err()
+                .message
+                .contains("all zeros")
+        );
+        assert!(
+            euler_pose(&[0.0; 6], "pose", path)
+                .unwrap_err()
+                .message
+                .contains("all zeros")
+        );
     }
 
     #[test]
     fn states_name_the_row() {
-        let good = States { joint_names: vec!["a".into(), "b".into()], positions: vec![0.0; 6], gripper: vec![0.0, 1.0, 0.5] };
+        let good = States {
+            joint_names: vec!["a".into(), "b".into()],
+            positions: vec![0.0; 6],
+            gripper: vec![0.0, 1.0, 0.5],
+        };
         let path = Path::new("joints.csv");
         assert!(states(&good, "row", path).is_ok());
         let mut bad = good.clone();
         bad.positions[3] = f64::NAN;
-        assert_eq!(states(&bad, "row", path).unwrap_err().message, "`joints.csv`: joint `b` is NaN at row 1");
+        assert_eq!(
+            states(&bad, "row", path).unwrap_err().message,
+            "`joints.csv`: joint `b` is NaN at row 1"
+        );
         let mut bad = good.clone();
         bad.positions[4] = 90.0;
         assert!(states(&bad, "row", path).unwrap_err().hint.unwrap().contains("degrees"));
         let mut bad = good;
         bad.gripper[2] = 1.00001;
-        assert!(states(&bad, "row", path).unwrap_err().message.contains("gripper is 1.00001 at row 2"));
+        assert!(
+            states(&bad, "row", path)
+                .unwrap_err()
+                .message
+                .contains("gripper is 1.00001 at row 2")
+        );
     }
 
     #[test]

@@ -39,7 +39,9 @@ impl SourceDepth {
                 take(&metres(array.all()?));
             } else {
                 let millimetres = read_grey16(&self.path.join(numbered(frame, "png")), (width, height))?;
-                take(&metres(millimetres.iter().map(|&value| f64::from(value) / 1000.0).collect()));
+                take(&metres(
+                    millimetres.iter().map(|&value| f64::from(value) / 1000.0).collect(),
+                ));
             }
         }
         Ok(())
@@ -48,6 +50,12 @@ impl SourceDepth {
 
 /// Unknown depth (NaN, infinite, 0 or less) becomes NaN.
 fn metres(values: Vec<f64>) -> Vec<f32> {
-    let one = |value: f64| if value.is_finite() && value > 0.0 { value as f32 } else { f32::NAN };
+    let one = |value: f64| {
+        if value.is_finite() && value > 0.0 {
+            value as f32
+        } else {
+            f32::NAN
+        }
+    };
     values.into_iter().map(one).collect()
 }

@@ -32,7 +32,10 @@ const VIDEOS: [&str; 6] = ["mp4", "mkv", "webm", "avi", "mov", "m4v"];
 
 /// True when the path names a video file.
 pub(crate) fn is_video(path: &Path) -> bool {
-    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+    let extension = path
+        .extension()
+        .and_then(|extension| extension.to_str())
+        .unwrap_or_default();
     VIDEOS.iter().any(|known| extension.eq_ignore_ascii_case(known))
 }
 
@@ -46,7 +49,10 @@ impl FrameSource {
         let info = video::probe(&path)?;
         check_size(&path, (info.width, info.height), size)?;
         if info.frames != u64::from(frame_count) {
-            return Err(wrong(&path, format!("it has {} frames, the episode {frame_count}", info.frames)));
+            return Err(wrong(
+                &path,
+                format!("it has {} frames, the episode {frame_count}", info.frames),
+            ));
         }
         Ok(Self::Video { path, info, first: 0 })
     }
@@ -59,7 +65,11 @@ impl FrameSource {
         mut take: impl FnMut(&[u8]),
     ) -> StageResult<Option<String>> {
         match self {
-            Self::Video { path, info, first: offset } => {
+            Self::Video {
+                path,
+                info,
+                first: offset,
+            } => {
                 let range = (offset + u64::from(first), u64::from(step), u64::from(count));
                 let warning = video::decode(path, info, range, |_, frame| {
                     take(frame);
@@ -88,7 +98,10 @@ fn check_folder(folder: &Path, frame_count: u32) -> StageResult<()> {
     let is_png = |entry: &std::fs::DirEntry| entry.path().extension().is_some_and(|extension| extension == "png");
     let found = entries.filter_map(Result::ok).filter(is_png).count();
     if found != frame_count as usize {
-        return Err(wrong(folder, format!("it has {found} PNG files, the episode {frame_count} frames")));
+        return Err(wrong(
+            folder,
+            format!("it has {found} PNG files, the episode {frame_count} frames"),
+        ));
     }
     Ok(())
 }
@@ -97,7 +110,10 @@ fn check_size(path: &Path, found: (u32, u32), expected: (u32, u32)) -> StageResu
     if found == expected {
         return Ok(());
     }
-    let text = format!("images are {}x{}, the episode says {}x{}", found.0, found.1, expected.0, expected.1);
+    let text = format!(
+        "images are {}x{}, the episode says {}x{}",
+        found.0, found.1, expected.0, expected.1
+    );
     Err(wrong(path, text).with_hint("intrinsics belong to the stated size; correct both"))
 }
 
@@ -106,7 +122,11 @@ fn read_rgb(path: &Path, size: (u32, u32)) -> StageResult<Vec<u8>> {
     let image = read_image(path, size)?;
     match image.color() {
         ColorType::Rgb8 | ColorType::L8 => Ok(image.into_rgb8().into_raw()),
-        ColorType::Rgba8 if image.as_rgba8().is_some_and(|rgba| rgba.pixels().all(|pixel| pixel.0[3] == 255)) => {
+        ColorType::Rgba8
+            if image
+                .as_rgba8()
+                .is_some_and(|rgba| rgba.pixels().all(|pixel| pixel.0[3] == 255)) =>
+        {
             Ok(image.into_rgb8().into_raw())
         }
         ColorType::Rgba8 | ColorType::La8 => Err(wrong(path, "the image is partly transparent; save it without alpha")),
@@ -118,7 +138,10 @@ fn read_rgb(path: &Path, size: (u32, u32)) -> StageResult<Vec<u8>> {
 pub(crate) fn read_grey16(path: &Path, size: (u32, u32)) -> StageResult<Vec<u16>> {
     match read_image(path, size)? {
         DynamicImage::ImageLuma16(image) => Ok(image.into_raw()),
-        other => Err(wrong(path, format!("pixels are {:?}, expected 16-bit grey (millimetres)", other.color()))),
+        other => Err(wrong(
+            path,
+            format!("pixels are {:?}, expected 16-bit grey (millimetres)", other.color()),
+        )),
     }
 }
 

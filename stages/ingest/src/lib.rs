@@ -46,7 +46,11 @@ impl Stage for Ingest {
     type Params = Params;
 
     fn inputs() -> Vec<InputDescription> {
-        let input = |role: &str, required, kind: &str| InputDescription { role: role.into(), required, kind: kind.into() };
+        let input = |role: &str, required, kind: &str| InputDescription {
+            role: role.into(),
+            required,
+            kind: kind.into(),
+        };
         vec![input("episode", true, "folder"), input("calibration", false, "file")]
     }
 
@@ -103,7 +107,14 @@ pub fn list_main(arguments: &[std::ffi::OsString]) -> Option<std::process::ExitC
             ExitCode::SUCCESS
         }
         Ok(episodes) => {
-            for EpisodeListing { episode_id, layout, folder, selector, .. } in episodes {
+            for EpisodeListing {
+                episode_id,
+                layout,
+                folder,
+                selector,
+                ..
+            } in episodes
+            {
                 println!("{episode_id}\t{layout}\t{folder}\t{selector}");
             }
             ExitCode::SUCCESS

@@ -31,13 +31,19 @@ pub struct EpisodeListing {
 /// When the folder or the description of a data set cannot be read. One episode that is damaged is listed with the files
 /// that are there; ingesting it says what is wrong.
 pub fn list_episodes(root: &Path) -> StageResult<Vec<EpisodeListing>> {
-    if let Some(layout) = detect(root) {
-        return list(root, ".", layout);
+    let mut found = match detect(root) {
+        Some(layout) => list(root, ".", layout)?,
+        None => Vec::new(),
+    };
+    // A data set of its own may lie in a folder of a Ctrl-World tree; below the others there are only their own files.
+    if !found.is_empty() && found.iter().any(|episode| episode.layout != "droid-ctrlworld") {
+        return Ok(found);
     }
     let entries = std::fs::read_dir(root).map_err(|error| crate::checks::io_error(root, &error))?;
-    let mut names: Vec<String> = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok()).collect();
+    let mut names: Vec<String> = entries
+        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
+        .collect();
     names.sort();
-    let mut found = Vec::new();
     for name in names {
         let folder = root.join(&name);
         if let Some(layout) = detect(&folder) {
@@ -56,7 +62,14 @@ fn list(folder: &Path, relative: &str, layout: Layout) -> StageResult<Vec<Episod
     let listing = |episode_id: String, layout: &str, selector: String, mut files: Vec<String>| {
         files.sort();
         files.dedup();
-        EpisodeListing { name: safe_name(&episode_id), episode_id, layout: layout.to_owned(), folder: relative.to_owned(), selector, files }
+        EpisodeListing {
+            name: safe_name(&episode_id),
+            episode_id,
+            layout: layout.to_owned(),
+            folder: relative.to_owned(),
+            selector,
+            files,
+        }
     };
     match layout {
         Layout::RogsEpisode => {
@@ -80,7 +93,8 @@ fn list(folder: &Path, relative: &str, layout: Layout) -> StageResult<Vec<Episod
         }
         Layout::Lerobot => {
             let dataset = lerobot_dataset(folder)?;
-            let one = |(selector, files): (String, Vec<String>)| listing(selector.clone(), dataset.layout, selector, files);
+            let one =
+                |(selector, files): (String, Vec<String>)| listing(selector.clone(), dataset.layout, selector, files);
             Ok(dataset.episodes.into_iter().map(one).collect())
         }
     }

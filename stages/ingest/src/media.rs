@@ -30,13 +30,18 @@ pub fn media_report() -> MediaReport {
     // Lines such as ` V....D libdav1d             dav1d AV1 decoder by VideoLAN (codec av1)`.
     let decodes = |codec: &str| {
         let named = format!("(codec {codec})");
-        decoders.lines().any(|line| line.trim_start().starts_with('V') && (line.contains(&named) || line.split_whitespace().nth(1) == Some(codec)))
+        decoders.lines().any(|line| {
+            line.trim_start().starts_with('V')
+                && (line.contains(&named) || line.split_whitespace().nth(1) == Some(codec))
+        })
     };
     let (h264, hevc, av1) = (decodes("h264"), decodes("hevc"), decodes("av1"));
     let mut problems = Vec::new();
     for (program, found) in [("ffmpeg", &ffmpeg), ("ffprobe", &ffprobe)] {
         if found.is_none() {
-            problems.push(format!("`{program}` is not on the PATH: episodes with videos cannot be read; install ffmpeg"));
+            problems.push(format!(
+                "`{program}` is not on the PATH: episodes with videos cannot be read; install ffmpeg"
+            ));
         }
     }
     if ffmpeg.is_some() {
@@ -46,10 +51,25 @@ pub fn media_report() -> MediaReport {
             }
         }
     }
-    MediaReport { ffmpeg, ffprobe, h264, hevc, av1, problems }
+    MediaReport {
+        ffmpeg,
+        ffprobe,
+        h264,
+        hevc,
+        av1,
+        problems,
+    }
 }
 
 fn output(program: &str, arguments: &[&str]) -> Option<String> {
-    let output = Command::new(program).args(arguments).stdin(Stdio::null()).stderr(Stdio::null()).output().ok()?;
-    output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
+    let output = Command::new(program)
+        .args(arguments)
+        .stdin(Stdio::null())
+        .stderr(Stdio::null())
+        .output()
+        .ok()?;
+    output
+        .status
+        .success()
+        .then(|| String::from_utf8_lossy(&output.stdout).into_owned())
 }

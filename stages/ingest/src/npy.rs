@@ -75,7 +75,8 @@ impl Npy {
         let length = file.metadata().map_err(|error| io_error(path, &error))?.len();
         let mut edge = [0; 12];
         let read = |file: &mut File, bytes: &mut [u8]| {
-            file.read_exact(bytes).map_err(|_| wrong(path, "it is too short for a .npy file"))
+            file.read_exact(bytes)
+                .map_err(|_| wrong(path, "it is too short for a .npy file"))
         };
         read(&mut file, &mut edge[..10])?;
         if edge[..6] != *b"\x93NUMPY" || !(1..=2).contains(&edge[6]) {
@@ -85,7 +86,10 @@ impl Npy {
             (10, u64::from(u16::from_le_bytes([edge[8], edge[9]])))
         } else {
             read(&mut file, &mut edge[10..])?;
-            (12, u64::from(u32::from_le_bytes([edge[8], edge[9], edge[10], edge[11]])))
+            (
+                12,
+                u64::from(u32::from_le_bytes([edge[8], edge[9], edge[10], edge[11]])),
+            )
         };
         if header_length > 65_536 {
             return Err(wrong(path, format!("a header of {header_length} bytes is impossible")));
@@ -96,29 +100,53 @@ impl Npy {
         let (kind, shape) = parse_header(&header).map_err(|what| wrong(path, what))?;
         let count = shape.iter().try_fold(1u64, |product, &dim| product.checked_mul(dim));
         let start = header_start + header_length;
-        let expected = count.and_then(|count| count.checked_mul(kind.size())).and_then(|bytes| bytes.checked_add(start));
+        let expected = count
+            .and_then(|count| count.checked_mul(kind.size()))
+            .and_then(|bytes| bytes.checked_add(start));
         if expected != Some(length) {
-            return Err(wrong(path, format!("the file has {length} bytes, which does not fit its shape {shape:?}")));
+            return Err(wrong(
+                path,
+                format!("the file has {length} bytes, which does not fit its shape {shape:?}"),
+            ));
         }
-        Ok(Self { path: path.to_owned(), file, start, kind, shape })
+        Ok(Self {
+            path: path.to_owned(),
+            file,
+            start,
+            kind,
+            shape,
+        })
     }
 
     /// Demands a shape; `None` stands for any length.
     pub(crate) fn expect_shape(&self, expected: &[Option<u64>]) -> StageResult<()> {
         let fits = self.shape.len() == expected.len()
-            && self.shape.iter().zip(expected).all(|(found, wanted)| wanted.is_none_or(|wanted| wanted == *found));
+            && self
+                .shape
+                .iter()
+                .zip(expected)
+                .all(|(found, wanted)| wanted.is_none_or(|wanted| wanted == *found));
         if fits {
             return Ok(());
         }
-        let text: Vec<String> = expected.iter().map(|dim| dim.map_or("any".into(), |dim| dim.to_string())).collect();
-        Err(wrong(&self.path, format!("the shape is {:?}, expected [{}]", self.shape, text.join(", "))))
+        let text: Vec<String> = expected
+            .iter()
+            .map(|dim| dim.map_or("any".into(), |dim| dim.to_string()))
+            .collect();
+        Err(wrong(
+            &self.path,
+            format!("the shape is {:?}, expected [{}]", self.shape, text.join(", ")),
+        ))
     }
 
     /// Demands floating-point values.
     pub(crate) fn expect_floats(&self) -> StageResult<()> {
         match self.kind {
             Kind::F32 | Kind::F64 => Ok(()),
-            other => Err(wrong(&self.path, format!("the values are {other:?}, expected f32 or f64"))),
+            other => Err(wrong(
+                &self.path,
+                format!("the values are {other:?}, expected f32 or f64"),
+            )),
         }
     }
 
@@ -126,7 +154,10 @@ impl Npy {
     pub(crate) fn entry(&mut self, index: u64) -> StageResult<Vec<f64>> {
         let length: u64 = self.shape.iter().skip(1).product();
         if self.shape.first().is_none_or(|&first| index >= first) {
-            return Err(wrong(&self.path, format!("there is no entry {index} in shape {:?}", self.shape)));
+            return Err(wrong(
+                &self.path,
+                format!("there is no entry {index} in shape {:?}", self.shape),
+            ));
         }
         self.read(index * length, length)
     }
@@ -141,25 +172,41 @@ impl Npy {
         let size = self.kind.size();
         let mut bytes = vec![0; (count * size) as usize];
         let seek = self.file.seek(SeekFrom::Start(self.start + from * size));
-        seek.and_then(|_| self.file.read_exact(&mut bytes)).map_err(|error| io_error(&self.path, &error))?;
-        Ok(bytes.chunks_exact(size as usize).map(|word| self.kind.value(word)).collect())
+        seek.and_then(|_| self.file.read_exact(&mut bytes))
+            .map_err(|error| io_error(&self.path, &error))?;
+        Ok(bytes
+            .chunks_exact(size as usize)
+            .map(|word| self.kind.value(word))
+            .collect())
     }
 }
 
 /// The dictionary `{'descr': '<f4', 'fortran_order': False, 'shape': (3, 4), }`.
 fn parse_header(header: &str) -> Result<(Kind, Vec<u64>), String> {
     let after = |key: &str| {
-        let at = header.find(&format!("'{key}'")).ok_or_else(|| format!("the header has no `{key}`"))?;
+        let at = header
+            .find(&format!("'{key}'"))
+            .ok_or_else(|| format!("the header has no `{key}`"))?;
         let rest = header[at + key.len() + 2..].trim_start();
-        Ok::<&str, String>(rest.strip_prefix(':').ok_or("the header is not a dictionary")?.trim_start())
+        Ok::<&str, String>(
+            rest.strip_prefix(':')
+                .ok_or("the header is not a dictionary")?
+                .trim_start(),
+        )
     };
     let descr = after("descr")?;
-    let descr = descr.strip_prefix('\'').and_then(|rest| rest.split('\'').next()).ok_or("the value type is not plain")?;
+    let descr = descr
+        .strip_prefix('\'')
+        .and_then(|rest| rest.split('\'').next())
+        .ok_or("the value type is not plain")?;
     let kind = Kind::parse(descr).ok_or_else(|| format!("values of type `{descr}` are not supported"))?;
     if !after("fortran_order")?.starts_with("False") {
         return Err("the array is in Fortran order; save `numpy.ascontiguousarray(a)`".into());
     }
-    let shape = after("shape")?.strip_prefix('(').and_then(|rest| rest.split(')').next()).ok_or("the header has no shape")?;
+    let shape = after("shape")?
+        .strip_prefix('(')
+        .and_then(|rest| rest.split(')').next())
+        .ok_or("the header has no shape")?;
     let dims = shape.split(',').map(str::trim).filter(|dim| !dim.is_empty());
     let lengths: Result<Vec<u64>, _> = dims.map(str::parse).collect();
     let lengths = lengths.map_err(|_| format!("the shape ({shape}) is not a list of lengths"))?;
@@ -177,9 +224,20 @@ mod tests {
     fn headers_are_read_and_refused() {
         let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (3, 4), }  \n";
         assert_eq!(parse_header(header), Ok((Kind::F32, vec![3, 4])));
-        assert_eq!(parse_header("{'descr': '|b1', 'fortran_order': False, 'shape': (), }"), Ok((Kind::U8, vec![])));
-        assert!(parse_header(&header.replace("False", "True")).unwrap_err().contains("Fortran"));
-        assert!(parse_header(&header.replace("<f4", ">f4")).unwrap_err().contains("not supported"));
+        assert_eq!(
+            parse_header("{'descr': '|b1', 'fortran_order': False, 'shape': (), }"),
+            Ok((Kind::U8, vec![]))
+        );
+        assert!(
+            parse_header(&header.replace("False", "True"))
+                .unwrap_err()
+                .contains("Fortran")
+        );
+        assert!(
+            parse_header(&header.replace("<f4", ">f4"))
+                .unwrap_err()
+                .contains("not supported")
+        );
         assert!(parse_header("").is_err());
     }
 }

@@ -11,6 +11,7 @@ pub struct Params {
     /// Layout of the episode folder.
     pub layout: LayoutChoice,
     /// Which episode of the folder: what `rogs-ingest list` prints as selector. Empty when the folder holds only one.
+    #[serde(deserialize_with = "text_or_number")]
     pub episode: String,
     /// Episode frame that becomes clip frame 0. `null`: the anchor frame of the episode's tracks where it has tracks;
     /// else 7 (the first frame of the paper's interval) when the clip still fits behind it; else 0.
@@ -134,20 +135,46 @@ pub struct StateColumns {
     pub invert_gripper: bool,
 }
 
+/// A selector that is all digits may come as a number.
+fn text_or_number<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Selector {
+        Text(String),
+        Number(u64),
+    }
+    Ok(match Selector::deserialize(deserializer)? {
+        Selector::Text(text) => text,
+        Selector::Number(number) => number.to_string(),
+    })
+}
+
 impl Params {
     /// Checks what does not depend on an episode.
     pub(crate) fn check(&self) -> StageResult<()> {
         let wrong = |what: String| Err(StageError::bad_params(what));
         if !(1..=4096).contains(&self.frames) || self.frame_step == 0 {
-            return wrong(format!("`frames` {} and `frame_step` {} are impossible", self.frames, self.frame_step));
+            return wrong(format!(
+                "`frames` {} and `frame_step` {} are impossible",
+                self.frames, self.frame_step
+            ));
         }
         let sides = [self.height, self.width];
         if sides.iter().any(|side| !(1..=8192).contains(side)) {
-            return wrong(format!("an image of {}x{} pixels is impossible", self.width, self.height));
+            return wrong(format!(
+                "an image of {}x{} pixels is impossible",
+                self.width, self.height
+            ));
         }
         let sources = &self.source_frames;
-        if sources.is_empty() || !sources.is_sorted_by(|a, b| a < b) || sources.last().is_some_and(|&s| s >= self.frames) {
-            return wrong(format!("`source_frames` {sources:?} must ascend below `frames` {}", self.frames));
+        if sources.is_empty()
+            || !sources.is_sorted_by(|a, b| a < b)
+            || sources.last().is_some_and(|&s| s >= self.frames)
+        {
+            return wrong(format!(
+                "`source_frames` {sources:?} must ascend below `frames` {}",
+                self.frames
+            ));
         }
         if let QueryChoice::Frames(frames) = &self.query
             && let Some(frame) = frames.iter().find(|&&frame| frame >= self.frames)

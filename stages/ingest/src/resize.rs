@@ -26,25 +26,39 @@ impl Mapping {
             Fit::Cover => {
                 let ratio = |target: u32, source: u32| f64::from(target) / f64::from(source);
                 let factor = ratio(target.0, source.0).max(ratio(target.1, source.1));
-                let side = |source: u32, target: u32| ((f64::from(source) * factor).round() as usize).max(target as usize);
+                let side =
+                    |source: u32, target: u32| ((f64::from(source) * factor).round() as usize).max(target as usize);
                 (side(source.0, target.0), side(source.1, target.1))
             }
         };
         let target = pair(target);
         let offset = ((scaled.0 - target.0) / 2, (scaled.1 - target.1) / 2);
-        Self { source: pair(source), scaled, offset, target }
+        Self {
+            source: pair(source),
+            scaled,
+            offset,
+            target,
+        }
     }
 
     /// Scale along x and y.
     fn scale(&self) -> (f64, f64) {
-        (self.scaled.0 as f64 / self.source.0 as f64, self.scaled.1 as f64 / self.source.1 as f64)
+        (
+            self.scaled.0 as f64 / self.source.0 as f64,
+            self.scaled.1 as f64 / self.source.1 as f64,
+        )
     }
 
     /// The intrinsics of the target image. Pixel centres at + 0.5, so that scaling is linear.
     pub(crate) fn intrinsics(&self, recorded: Intrinsics) -> Intrinsics {
         let (sx, sy) = self.scale();
         let (cx, cy) = self.point([recorded.cx, recorded.cy]).into();
-        Intrinsics { fx: recorded.fx * sx, fy: recorded.fy * sy, cx, cy }
+        Intrinsics {
+            fx: recorded.fx * sx,
+            fy: recorded.fy * sy,
+            cx,
+            cy,
+        }
     }
 
     /// Where an image point goes; pixel centres at + 0.5 on both sides.
@@ -63,7 +77,11 @@ impl Mapping {
         let (width, target_width) = (self.source.0, self.target.0);
         // Horizontal pass over the rows that are needed, then vertical.
         let first = rows.iter().map(|taps| taps.start).min().unwrap_or(0);
-        let last = rows.iter().map(|taps| taps.start + taps.weights.len()).max().unwrap_or(0);
+        let last = rows
+            .iter()
+            .map(|taps| taps.start + taps.weights.len())
+            .max()
+            .unwrap_or(0);
         let mut wide = vec![0.0f32; (last - first) * target_width * 3];
         for (row, line) in (first..last).zip(wide.chunks_exact_mut(target_width * 3)) {
             let pixels = &image[row * width * 3..(row + 1) * width * 3];
@@ -79,7 +97,11 @@ impl Mapping {
         let mut sums = vec![0.0f32; target_width * 3];
         for taps in &rows {
             sums.fill(0.0);
-            for (weight, line) in taps.weights.iter().zip(wide[(taps.start - first) * target_width * 3..].chunks_exact(target_width * 3)) {
+            for (weight, line) in taps
+                .weights
+                .iter()
+                .zip(wide[(taps.start - first) * target_width * 3..].chunks_exact(target_width * 3))
+            {
                 for (sum, value) in sums.iter_mut().zip(line) {
                     *sum += weight * value;
                 }
@@ -98,7 +120,10 @@ impl Mapping {
         let column = |x| sample(x, self.offset.0, self.source.0, self.scaled.0);
         let columns: Vec<usize> = (0..self.target.0).map(column).collect();
         let row = |y| sample(y, self.offset.1, self.source.1, self.scaled.1) * self.source.0;
-        (0..self.target.1).map(row).flat_map(|start| columns.iter().map(move |column| map[start + column])).collect()
+        (0..self.target.1)
+            .map(row)
+            .flat_map(|start| columns.iter().map(move |column| map[start + column]))
+            .collect()
     }
 }
 
@@ -116,9 +141,14 @@ fn taps(from: usize, to: usize, offset: usize, count: usize) -> Vec<Taps> {
         let centre = scale * ((index + offset) as f64 + 0.5);
         let start = (centre - 2.0 * filter + 0.5).max(0.0) as usize;
         let end = ((centre + 2.0 * filter + 0.5) as usize).min(from);
-        let raw: Vec<f64> = (start..end).map(|tap| cubic((tap as f64 - centre + 0.5) / filter)).collect();
+        let raw: Vec<f64> = (start..end)
+            .map(|tap| cubic((tap as f64 - centre + 0.5) / filter))
+            .collect();
         let sum: f64 = raw.iter().sum();
-        Taps { start, weights: raw.iter().map(|weight| (weight / sum) as f32).collect() }
+        Taps {
+            start,
+            weights: raw.iter().map(|weight| (weight / sum) as f32).collect(),
+        }
     };
     (0..count).map(one).collect()
 }
@@ -146,7 +176,12 @@ mod tests {
         assert_eq!((pure.scaled, pure.offset), ((280, 154), (0, 0)));
         let cut = Mapping::new((320, 192), (280, 154), Fit::Cover);
         assert_eq!((cut.scaled, cut.offset), ((280, 168), (0, 7)));
-        let intrinsics = cut.intrinsics(Intrinsics { fx: 133.0, fy: 142.0, cx: 160.5, cy: 96.5 });
+        let intrinsics = cut.intrinsics(Intrinsics {
+            fx: 133.0,
+            fy: 142.0,
+            cx: 160.5,
+            cy: 96.5,
+        });
         assert_eq!((intrinsics.fx, intrinsics.fy), (133.0 * 0.875, 142.0 * 0.875));
         assert_eq!((intrinsics.cx, intrinsics.cy), (160.5 * 0.875, 96.5 * 0.875 - 7.0));
         let stretched = Mapping::new((320, 192), (280, 154), Fit::Stretch);
@@ -156,7 +191,12 @@ mod tests {
     #[test]
     fn a_gradient_stays_a_gradient_and_a_flat_image_flat() {
         let flat = vec![77; 40 * 24 * 3];
-        assert!(Mapping::new((40, 24), (28, 15), Fit::Cover).rgb(&flat).iter().all(|&value| value == 77));
+        assert!(
+            Mapping::new((40, 24), (28, 15), Fit::Cover)
+                .rgb(&flat)
+                .iter()
+                .all(|&value| value == 77)
+        );
         let ramp: Vec<u8> = (0..24).flat_map(|_| (0..40).flat_map(|x| [(6 * x) as u8; 3])).collect();
         let mapping = Mapping::new((40, 24), (20, 12), Fit::Cover);
         let half = mapping.rgb(&ramp);

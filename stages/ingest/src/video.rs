@@ -53,8 +53,22 @@ struct ProbeStream {
 pub(crate) fn probe(path: &Path) -> StageResult<VideoInfo> {
     std::fs::metadata(path).map_err(|error| io_error(path, &error))?;
     let mut command = Command::new("ffprobe");
-    command.args(["-v", "error", "-protocol_whitelist", "file", "-format_whitelist", FORMATS]);
-    command.args(["-select_streams", "v:0", "-count_packets", "-of", "json", "-show_entries"]);
+    command.args([
+        "-v",
+        "error",
+        "-protocol_whitelist",
+        "file",
+        "-format_whitelist",
+        FORMATS,
+    ]);
+    command.args([
+        "-select_streams",
+        "v:0",
+        "-count_packets",
+        "-of",
+        "json",
+        "-show_entries",
+    ]);
     command.arg("stream=codec_name,width,height,nb_frames,nb_read_packets,avg_frame_rate");
     command.arg(url(path)).stdin(Stdio::null());
     let output = command.output().map_err(|error| no_program("ffprobe", &error))?;
@@ -64,23 +78,38 @@ pub(crate) fn probe(path: &Path) -> StageResult<VideoInfo> {
     }
     let probe: Probe = serde_json::from_slice(&output.stdout)
         .map_err(|error| wrong(path, format!("ffprobe's answer is not readable: {error}")))?;
-    let stream = probe.streams.first().ok_or_else(|| wrong(path, "there is no video stream in it"))?;
+    let stream = probe
+        .streams
+        .first()
+        .ok_or_else(|| wrong(path, "there is no video stream in it"))?;
     let (Some(width), Some(height)) = (stream.width, stream.height) else {
         return Err(wrong(path, "the video has no size"));
     };
     let sides = (1..=MAX_SIDE).contains(&width) && (1..=MAX_SIDE).contains(&height);
     if !sides || u64::from(width) * u64::from(height) > MAX_PIXELS {
-        return Err(wrong(path, format!("frames of {width}x{height} pixels are larger than this program reads")));
+        return Err(wrong(
+            path,
+            format!("frames of {width}x{height} pixels are larger than this program reads"),
+        ));
     }
     let number = |text: &Option<String>| text.as_ref().and_then(|text| text.parse::<u64>().ok());
     let frames = number(&stream.nb_read_packets).ok_or_else(|| wrong(path, "its frames cannot be counted"))?;
     if let Some(declared) = number(&stream.nb_frames)
         && declared != frames
     {
-        return Err(wrong(path, format!("its header declares {declared} frames but it holds {frames}: it is cut off")));
+        return Err(wrong(
+            path,
+            format!("its header declares {declared} frames but it holds {frames}: it is cut off"),
+        ));
     }
     let fps = stream.avg_frame_rate.as_deref().and_then(rate).unwrap_or(0.0);
-    Ok(VideoInfo { codec: stream.codec_name.clone(), width, height, frames, fps })
+    Ok(VideoInfo {
+        codec: stream.codec_name.clone(),
+        width,
+        height,
+        frames,
+        fps,
+    })
 }
 
 /// Decodes `count` frames, `first`, `first + step`, ..., and hands each to `take` as RGB. `[h, w, 3]`
@@ -94,7 +123,10 @@ pub(crate) fn decode(
 ) -> StageResult<Option<String>> {
     let last = first + (count.max(1) - 1) * step;
     if last >= info.frames {
-        return Err(wrong(path, format!("frame {last} is needed but the video has {} frames", info.frames)));
+        return Err(wrong(
+            path,
+            format!("frame {last} is needed but the video has {} frames", info.frames),
+        ));
     }
     let mut command = Command::new("ffmpeg");
     command.args(["-v", "error", "-nostdin", "-xerror", "-noautorotate"]);
@@ -104,7 +136,10 @@ pub(crate) fn decode(
     command.args(["-fps_mode", "passthrough", "-frames:v", &count.to_string()]);
     command.args(["-sws_flags", "bilinear+accurate_rnd+full_chroma_int+bitexact"]);
     command.args(["-pix_fmt", "rgb24", "-f", "rawvideo", "pipe:1"]);
-    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
     let mut child = Running(command.spawn().map_err(|error| no_program("ffmpeg", &error))?);
     let (Some(mut frames), Some(complaints)) = (child.0.stdout.take(), child.0.stderr.take()) else {
         return Err(StageError::internal("ffmpeg was started without pipes"));
@@ -137,7 +172,10 @@ pub(crate) fn decode(
     let problem = last_line(&complaints);
     if failure.is_some() || surplus || !status.success() {
         let at = first + decoded * step;
-        let text = format!("decoding stopped at frame {at} of {}, {decoded} of {count} frames came: {problem}", info.frames);
+        let text = format!(
+            "decoding stopped at frame {at} of {}, {decoded} of {count} frames came: {problem}",
+            info.frames
+        );
         return Err(wrong(path, text));
     }
     Ok((!complaints.is_empty()).then_some(problem))
@@ -169,7 +207,11 @@ fn rate(text: &str) -> Option<f64> {
 
 fn last_line(bytes: &[u8]) -> String {
     let text = String::from_utf8_lossy(bytes);
-    let line = text.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("it gave no reason");
+    let line = text
+        .lines()
+        .rev()
+        .find(|line| !line.trim().is_empty())
+        .unwrap_or("it gave no reason");
     line.trim().chars().take(300).collect()
 }
 

@@ -71,12 +71,18 @@ pub(crate) fn selectors(root: &Path) -> StageResult<Vec<String>> {
 
 fn subfolders(folder: &Path) -> StageResult<Vec<(String, PathBuf)>> {
     let names = file_names(folder)?;
-    Ok(names.into_iter().map(|name| (format!("{name}/"), folder.join(name))).filter(|(_, path)| path.is_dir()).collect())
+    Ok(names
+        .into_iter()
+        .map(|name| (format!("{name}/"), folder.join(name)))
+        .filter(|(_, path)| path.is_dir())
+        .collect())
 }
 
 fn file_names(folder: &Path) -> StageResult<Vec<String>> {
     let entries = std::fs::read_dir(folder).map_err(|error| checks::io_error(folder, &error))?;
-    let mut names: Vec<String> = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok()).collect();
+    let mut names: Vec<String> = entries
+        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
+        .collect();
     names.sort();
     Ok(names)
 }
@@ -117,29 +123,50 @@ pub(crate) fn open(root: &Path, calibration: Option<Calibration>, selector: &str
     let mut fps: Option<f64> = None;
     for (id, index) in CAMERAS {
         if index >= annotation.videos.len() {
-            return Err(wrong(&path, format!("it names {} videos, camera `{id}` is number {index}", annotation.videos.len())));
+            return Err(wrong(
+                &path,
+                format!(
+                    "it names {} videos, camera `{id}` is number {index}",
+                    annotation.videos.len()
+                ),
+            ));
         }
         let file = root.join(video_file(root, &path, &annotation, &selector, index)?);
         let info = video::probe(&file)?;
         // The authors' rig writes one video frame more than states now and then; the last one is not used then.
         let surplus = annotation.raw_length.is_none() && info.frames == u64::from(frame_count) + 1;
         if surplus {
-            warnings.push(format!("`{}` has one frame more than states; it is not used", file.display()));
+            warnings.push(format!(
+                "`{}` has one frame more than states; it is not used",
+                file.display()
+            ));
         } else if info.frames != u64::from(frame_count) {
-            return Err(wrong(&file, format!("it has {} frames, the annotation {frame_count}", info.frames)));
+            return Err(wrong(
+                &file,
+                format!("it has {} frames, the annotation {frame_count}", info.frames),
+            ));
         }
         if *fps.get_or_insert(info.fps) != info.fps {
-            warnings.push(format!("`{}` runs at {} frames per second, another video at {fps:?}", file.display(), info.fps));
+            warnings.push(format!(
+                "`{}` runs at {} frames per second, another video at {fps:?}",
+                file.display(),
+                info.fps
+            ));
         }
         let size = (info.width, info.height);
         let names = calibration_names(id, &format!("{index}"));
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
         let missing = || {
-            let text = format!("the calibration has no camera `{id}` (it has {})", calibration.cameras().join(", "));
+            let text = format!(
+                "the calibration has no camera `{id}` (it has {})",
+                calibration.cameras().join(", ")
+            );
             wrong(&path, text).with_hint("docs/calibration-format.md says what an entry looks like")
         };
         let calibrated = calibration.camera(&names, size)?.ok_or_else(missing)?;
-        let mount = calibrated.mount.ok_or_else(|| wrong(&path, format!("the calibration gives no pose of camera `{id}`")))?;
+        let mount = calibrated
+            .mount
+            .ok_or_else(|| wrong(&path, format!("the calibration gives no pose of camera `{id}`")))?;
         cameras.push(SourceCamera {
             id: id.to_owned(),
             role: CameraRole::Source,
@@ -149,7 +176,11 @@ pub(crate) fn open(root: &Path, calibration: Option<Calibration>, selector: &str
             intrinsics: calibrated.intrinsics,
             pixel_shift: 0.5,
             mount,
-            images: Some(FrameSource::Video { path: file, info, first: 0 }),
+            images: Some(FrameSource::Video {
+                path: file,
+                info,
+                first: 0,
+            }),
             depth: None,
         });
     }
@@ -179,17 +210,26 @@ fn resolve_selector(root: &Path, selector: &str) -> StageResult<String> {
     if selector.is_empty() {
         return match &all[..] {
             [only] => Ok(only.clone()),
-            _ => Err(StageError::bad_params(format!("`{}` holds {} episodes: say which", root.display(), all.len()))
-                .with_hint("set `episode` to a selector that `rogs-ingest list` prints")),
+            _ => Err(
+                StageError::bad_params(format!("`{}` holds {} episodes: say which", root.display(), all.len()))
+                    .with_hint("set `episode` to a selector that `rogs-ingest list` prints"),
+            ),
         };
     }
     let named = |candidate: &&String| *candidate == selector || candidate.rsplit('/').next() == Some(selector);
     let matches: Vec<&String> = all.iter().filter(named).collect();
     match matches[..] {
         [one] => Ok(one.clone()),
-        [] => Err(StageError::bad_input(format!("`{}` has no episode `{selector}`", root.display()))
-            .with_hint(format!("it has {}", all.iter().take(10).cloned().collect::<Vec<_>>().join(", ")))),
-        _ => Err(StageError::bad_params(format!("`{selector}` names several episodes of `{}`", root.display()))),
+        [] => Err(
+            StageError::bad_input(format!("`{}` has no episode `{selector}`", root.display())).with_hint(format!(
+                "it has {}",
+                all.iter().take(10).cloned().collect::<Vec<_>>().join(", ")
+            )),
+        ),
+        _ => Err(StageError::bad_params(format!(
+            "`{selector}` names several episodes of `{}`",
+            root.display()
+        ))),
     }
 }
 
@@ -200,7 +240,11 @@ fn read_annotation(root: &Path, name: &str) -> StageResult<(PathBuf, Annotation)
     let annotation = serde_json::from_str(&text).map_err(|error| {
         let hint = "Python's `NaN` is not JSON: a state that was not measured cannot be used";
         let error = wrong(&path, format!("not a Ctrl-World annotation: {error}"));
-        if text.contains("NaN") { error.with_hint(hint) } else { error }
+        if text.contains("NaN") {
+            error.with_hint(hint)
+        } else {
+            error
+        }
     })?;
     Ok((path, annotation))
 }
@@ -223,7 +267,13 @@ fn video_file(root: &Path, path: &Path, annotation: &Annotation, selector: &str,
             return Ok(candidate.clone());
         }
     }
-    Err(wrong(path, format!("video {index} is missing: neither `{named}` nor `{own}` exists in `{}`", root.display())))
+    Err(wrong(
+        path,
+        format!(
+            "video {index} is missing: neither `{named}` nor `{own}` exists in `{}`",
+            root.display()
+        ),
+    ))
 }
 
 fn calibration_name(selector: &str) -> String {
@@ -245,11 +295,18 @@ fn states(annotation: &Annotation, path: &Path) -> StageResult<States> {
     let rows = match (&annotation.joints, raw) {
         (Some(stored), raw) => {
             if stored.len() != frames {
-                return Err(wrong(path, format!("there are {} rows of `joints` for {frames} video frames", stored.len())));
+                return Err(wrong(
+                    path,
+                    format!("there are {} rows of `joints` for {frames} video frames", stored.len()),
+                ));
             }
-            let differs = |(stored, raw): (&Vec<f64>, &Vec<f64>)| stored.iter().zip(raw).any(|(a, b)| (a - b).abs() > 1e-6);
+            let differs =
+                |(stored, raw): (&Vec<f64>, &Vec<f64>)| stored.iter().zip(raw).any(|(a, b)| (a - b).abs() > 1e-6);
             if let Some(row) = raw.and_then(|raw| stored.iter().zip(&raw).position(differs)) {
-                return Err(wrong(path, format!("`joints` row {row} is not raw state {}", RAW_STEP * row)));
+                return Err(wrong(
+                    path,
+                    format!("`joints` row {row} is not raw state {}", RAW_STEP * row),
+                ));
             }
             stored.clone()
         }
@@ -257,13 +314,20 @@ fn states(annotation: &Annotation, path: &Path) -> StageResult<States> {
         (None, None) => return Err(wrong(path, "it has no joint positions")),
     };
     let joint_names: Vec<String> = (1..=7).map(|joint| format!("panda_joint{joint}")).collect();
-    let mut states = States { joint_names, positions: Vec::new(), gripper: Vec::new() };
+    let mut states = States {
+        joint_names,
+        positions: Vec::new(),
+        gripper: Vec::new(),
+    };
     for (row, values) in rows.iter().enumerate() {
         let [joints @ .., gripper] = &values[..] else {
             return Err(wrong(path, format!("row {row} of the joints is empty")));
         };
         if joints.len() != 7 {
-            return Err(wrong(path, format!("row {row} has {} joints, a Panda has 7", joints.len())));
+            return Err(wrong(
+                path,
+                format!("row {row} has {} joints, a Panda has 7", joints.len()),
+            ));
         }
         states.positions.extend_from_slice(joints);
         states.gripper.push(*gripper);
@@ -276,7 +340,11 @@ fn decimated(joints: &[Vec<f64>], gripper: &[f64], frames: usize, path: &Path) -
     if joints.len() != gripper.len() || joints.len().div_ceil(RAW_STEP) != frames {
         return Err(wrong(
             path,
-            format!("{} raw joint states and {} gripper states do not make {frames} video frames", joints.len(), gripper.len()),
+            format!(
+                "{} raw joint states and {} gripper states do not make {frames} video frames",
+                joints.len(),
+                gripper.len()
+            ),
         ));
     }
     let row = |index: usize| joints[index].iter().copied().chain([gripper[index]]).collect();

@@ -52,16 +52,25 @@ pub(crate) fn open(root: &Path, calibration: Option<&Calibration>, params: &Para
 fn camera_names(dataset: &Dataset, params: &Params) -> StageResult<Vec<(String, String)>> {
     let videos = dataset.videos();
     if videos.is_empty() {
-        return Err(StageError::bad_input(format!("`{}` has no video features", dataset.root.display()))
-            .with_hint("images inside parquet files are not supported; convert the data set to videos"));
+        return Err(
+            StageError::bad_input(format!("`{}` has no video features", dataset.root.display()))
+                .with_hint("images inside parquet files are not supported; convert the data set to videos"),
+        );
     }
     if params.cameras.is_empty() {
-        return Ok(videos.into_iter().map(|key| (clip_camera(key), key.to_owned())).collect());
+        return Ok(videos
+            .into_iter()
+            .map(|key| (clip_camera(key), key.to_owned()))
+            .collect());
     }
     let choose = |choice: &crate::params::CameraChoice| {
         let fits = |key: &&&str| **key == choice.from || key.rsplit('.').next() == Some(&choice.from);
         let key = videos.iter().find(fits).ok_or_else(|| {
-            StageError::bad_params(format!("there is no video feature `{}`, there are {}", choice.from, videos.join(", ")))
+            StageError::bad_params(format!(
+                "there is no video feature `{}`, there are {}",
+                choice.from,
+                videos.join(", ")
+            ))
         })?;
         Ok((choice.id.clone(), (*key).to_owned()))
     };
@@ -93,7 +102,12 @@ fn open_camera(
         Version::V30 => first + episode.length <= info.frames,
     };
     if !fits {
-        let text = format!("it has {} frames, episode {} needs frames {first} to {}", info.frames, episode.index, first + episode.length);
+        let text = format!(
+            "it has {} frames, episode {} needs frames {first} to {}",
+            info.frames,
+            episode.index,
+            first + episode.length
+        );
         return Err(wrong(&path, text));
     }
     let feature = key.rsplit('.').next().unwrap_or(key);
@@ -113,8 +127,11 @@ fn open_camera(
     let mount = match calibrated.mount {
         Some(mount) => mount,
         None => rows.extrinsics(feature)?.ok_or_else(|| {
-            wrong(&info_path, format!("camera `{id}` ({key}) has no pose: neither the calibration nor the data has one"))
-                .with_hint("add `camera_to_base` or `camera_to_link` to its entry in the calibration file")
+            wrong(
+                &info_path,
+                format!("camera `{id}` ({key}) has no pose: neither the calibration nor the data has one"),
+            )
+            .with_hint("add `camera_to_base` or `camera_to_link` to its entry in the calibration file")
         })?,
     };
     Ok(SourceCamera {
@@ -143,23 +160,42 @@ impl Rows {
     fn read(dataset: &Dataset, episode: &EpisodeMeta) -> StageResult<Self> {
         let path = inside(&dataset.root, &episode.data, &dataset.root.join("meta/info.json"))?;
         let wanted = |name: &str| {
-            name.starts_with("observation.state") || name.starts_with("camera_extrinsics") || ["timestamp", "frame_index", "episode_index"].contains(&name)
+            name.starts_with("observation.state")
+                || name.starts_with("camera_extrinsics")
+                || ["timestamp", "frame_index", "episode_index"].contains(&name)
         };
         let table = Table::read(&path, &wanted)?;
         let indices = table.integers("episode_index")?;
         let rows: Vec<usize> = (0..table.rows).filter(|&row| indices[row] == episode.index).collect();
         if rows.len() as u64 != episode.length {
-            return Err(wrong(&path, format!("it has {} rows of episode {}, expected {}", rows.len(), episode.index, episode.length)));
+            return Err(wrong(
+                &path,
+                format!(
+                    "it has {} rows of episode {}, expected {}",
+                    rows.len(),
+                    episode.index,
+                    episode.length
+                ),
+            ));
         }
         let frames = table.integers("frame_index")?;
         if let Some(frame) = (0..rows.len()).find(|&frame| frames[rows[frame]] != frame as u64) {
-            return Err(wrong(&path, format!("row {} holds frame {}, expected {frame}", rows[frame], frames[rows[frame]])));
+            return Err(wrong(
+                &path,
+                format!(
+                    "row {} holds frame {}, expected {frame}",
+                    rows[frame], frames[rows[frame]]
+                ),
+            ));
         }
         if table.has("timestamp") {
             let (_, times) = table.numbers("timestamp")?;
             let off = |&frame: &usize| !((times[rows[frame]] * dataset.info.fps - frame as f64).abs() < 0.5);
             if let Some(frame) = (0..rows.len()).find(off) {
-                let text = format!("the timestamp {} of frame {frame} does not fit {} frames per second", times[rows[frame]], dataset.info.fps);
+                let text = format!(
+                    "the timestamp {} of frame {frame} does not fit {} frames per second",
+                    times[rows[frame]], dataset.info.fps
+                );
                 return Err(wrong(&path, text));
             }
         }
@@ -170,7 +206,10 @@ impl Rows {
     fn entry(&self, (column, entry): &(String, usize)) -> StageResult<Vec<f64>> {
         let (width, values) = self.table.numbers(column)?;
         if *entry >= width {
-            return Err(wrong(&self.path, format!("column `{column}` has {width} entries, number {entry} is needed")));
+            return Err(wrong(
+                &self.path,
+                format!("column `{column}` has {width} entries, number {entry} is needed"),
+            ));
         }
         Ok(self.rows.iter().map(|row| values[row * width + entry]).collect())
     }
@@ -179,12 +218,18 @@ impl Rows {
         let (joints, gripper) = state_entries(dataset, choice, &self.path)?;
         let columns: StageResult<Vec<Vec<f64>>> = joints.iter().map(|(_, place)| self.entry(place)).collect();
         let columns = columns?;
-        let positions = (0..self.rows.len()).flat_map(|row| columns.iter().map(move |column| column[row])).collect();
+        let positions = (0..self.rows.len())
+            .flat_map(|row| columns.iter().map(move |column| column[row]))
+            .collect();
         let closed = |value: f64| if choice.invert_gripper { 1.0 - value } else { value };
         let gripper = self.entry(&gripper)?.into_iter().map(closed).collect();
         let names: Vec<String> = joints.into_iter().map(|(name, _)| name).collect();
         let joint_names = urdf_names(names, choice, dataset.info.robot_type.as_deref(), &self.path)?;
-        let states = States { joint_names, positions, gripper };
+        let states = States {
+            joint_names,
+            positions,
+            gripper,
+        };
         checks::states(&states, "frame", &self.path)?;
         Ok(states)
     }
@@ -197,7 +242,10 @@ impl Rows {
         }
         let (width, values) = self.table.numbers(&column)?;
         if width != 6 {
-            return Err(wrong(&self.path, format!("column `{column}` has {width} entries, expected x y z roll pitch yaw")));
+            return Err(wrong(
+                &self.path,
+                format!("column `{column}` has {width} entries, expected x y z roll pitch yaw"),
+            ));
         }
         let pose = |(frame, row): (usize, &usize)| {
             let mut six = [0.0; 6];
@@ -220,36 +268,64 @@ type Place = (String, usize);
 /// Names and places of the joints, and the place of the gripper.
 fn state_entries(dataset: &Dataset, choice: &StateColumns, path: &Path) -> StageResult<(Vec<(String, Place)>, Place)> {
     let features = &dataset.info.features;
-    let state = features.get("observation.state").map(|feature| feature.entry_names()).unwrap_or_default();
-    let in_state = |name: &str| state.iter().position(|entry| entry == name).map(|entry| ("observation.state".to_owned(), entry));
+    let state = features
+        .get("observation.state")
+        .map(|feature| feature.entry_names())
+        .unwrap_or_default();
+    let in_state = |name: &str| {
+        state
+            .iter()
+            .position(|entry| entry == name)
+            .map(|entry| ("observation.state".to_owned(), entry))
+    };
     let unknown = |name: &str| {
-        StageError::bad_params(format!("`observation.state` has no entry `{name}`, it has {}", state.join(", ")))
+        StageError::bad_params(format!(
+            "`observation.state` has no entry `{name}`, it has {}",
+            state.join(", ")
+        ))
     };
     let own_gripper = "observation.state.gripper_position";
     let gripper = match &choice.gripper {
         Some(name) => in_state(name).ok_or_else(|| unknown(name))?,
         None if features.contains_key(own_gripper) => (own_gripper.to_owned(), 0),
-        None => in_state("gripper").or_else(|| in_state("gripper_position")).ok_or_else(|| {
-            wrong(path, "the data names no gripper state").with_hint(format!(
-                "set `states.gripper` to the entry of `observation.state` that is the gripper in 0 to 1; it has {}",
-                state.join(", ")
-            ))
-        })?,
+        None => in_state("gripper")
+            .or_else(|| in_state("gripper_position"))
+            .ok_or_else(|| {
+                wrong(path, "the data names no gripper state").with_hint(format!(
+                    "set `states.gripper` to the entry of `observation.state` that is the gripper in 0 to 1; it has {}",
+                    state.join(", ")
+                ))
+            })?,
     };
     if !choice.joints.is_empty() {
-        let named = |name: &String| in_state(name).map(|place| (name.clone(), place)).ok_or_else(|| unknown(name));
+        let named = |name: &String| {
+            in_state(name)
+                .map(|place| (name.clone(), place))
+                .ok_or_else(|| unknown(name))
+        };
         let joints: StageResult<Vec<_>> = choice.joints.iter().map(named).collect();
         return Ok((joints?, gripper));
     }
     for column in ["observation.state.joint_position", "observation.state.joint_positions"] {
         if let Some(feature) = features.get(column) {
             let names = feature.entry_names();
-            let names = if names.is_empty() { (0..7).map(|joint| format!("joint_{joint}")).collect() } else { names };
-            let joints = names.into_iter().enumerate().map(|(entry, name)| (name, (column.to_owned(), entry)));
+            let names = if names.is_empty() {
+                (0..7).map(|joint| format!("joint_{joint}")).collect()
+            } else {
+                names
+            };
+            let joints = names
+                .into_iter()
+                .enumerate()
+                .map(|(entry, name)| (name, (column.to_owned(), entry)));
             return Ok((joints.collect(), gripper));
         }
     }
-    let joints: Vec<_> = state.iter().filter_map(|name| Some((name.clone(), in_state(name)?))).filter(|(_, place)| *place != gripper).collect();
+    let joints: Vec<_> = state
+        .iter()
+        .filter_map(|name| Some((name.clone(), in_state(name)?)))
+        .filter(|(_, place)| *place != gripper)
+        .collect();
     if joints.is_empty() {
         return Err(wrong(path, "the data names no joint states")
             .with_hint("set `states.joints` to the entries of `observation.state` that are the arm's joints"));
@@ -260,7 +336,11 @@ fn state_entries(dataset: &Dataset, choice: &StateColumns, path: &Path) -> Stage
 fn urdf_names(names: Vec<String>, choice: &StateColumns, robot: Option<&str>, path: &Path) -> StageResult<Vec<String>> {
     if !choice.joint_names.is_empty() {
         if choice.joint_names.len() != names.len() {
-            let text = format!("`states.joint_names` has {} names for {} joints", choice.joint_names.len(), names.len());
+            let text = format!(
+                "`states.joint_names` has {} names for {} joints",
+                choice.joint_names.len(),
+                names.len()
+            );
             return Err(StageError::bad_params(text));
         }
         return Ok(choice.joint_names.clone());

@@ -118,9 +118,18 @@ impl Dataset {
             }
         };
         if !(info.fps.is_finite() && info.fps > 0.0) || info.chunks_size == 0 {
-            return Err(wrong(&path, format!("`fps` {} or `chunks_size` {} is impossible", info.fps, info.chunks_size)));
+            return Err(wrong(
+                &path,
+                format!("`fps` {} or `chunks_size` {} is impossible", info.fps, info.chunks_size),
+            ));
         }
-        let mut dataset = Self { root: root.to_owned(), info, version, episodes: Vec::new(), meta_files: Vec::new() };
+        let mut dataset = Self {
+            root: root.to_owned(),
+            info,
+            version,
+            episodes: Vec::new(),
+            meta_files: Vec::new(),
+        };
         dataset.episodes = match version {
             Version::V21 => dataset.read_v21()?,
             Version::V30 => dataset.read_v30()?,
@@ -131,7 +140,12 @@ impl Dataset {
     /// Names of the features that are videos.
     pub(crate) fn videos(&self) -> Vec<&str> {
         let is_video = |(_, feature): &(&String, &Feature)| feature.dtype == "video";
-        self.info.features.iter().filter(is_video).map(|(name, _)| name.as_str()).collect()
+        self.info
+            .features
+            .iter()
+            .filter(is_video)
+            .map(|(name, _)| name.as_str())
+            .collect()
     }
 
     /// The episode of a selector: `episode_000010` or `10`, or empty for the only one.
@@ -139,14 +153,24 @@ impl Dataset {
         if selector.is_empty() {
             return match &self.episodes[..] {
                 [only] => Ok(only),
-                all => Err(StageError::bad_params(format!("`{}` holds {} episodes: say which", self.root.display(), all.len()))
-                    .with_hint("set `episode` to a selector that `rogs-ingest list` prints")),
+                all => Err(StageError::bad_params(format!(
+                    "`{}` holds {} episodes: say which",
+                    self.root.display(),
+                    all.len()
+                ))
+                .with_hint("set `episode` to a selector that `rogs-ingest list` prints")),
             };
         }
         let index = selector.strip_prefix("episode_").unwrap_or(selector).parse::<u64>();
-        let found = index.ok().and_then(|index| self.episodes.iter().find(|episode| episode.index == index));
+        let found = index
+            .ok()
+            .and_then(|index| self.episodes.iter().find(|episode| episode.index == index));
         found.ok_or_else(|| {
-            StageError::bad_input(format!("`{}` has no episode `{selector}`, it has {}", self.root.display(), self.episodes.len()))
+            StageError::bad_input(format!(
+                "`{}` has no episode `{selector}`, it has {}",
+                self.root.display(),
+                self.episodes.len()
+            ))
         })
     }
 
@@ -162,10 +186,14 @@ impl Dataset {
         let path = self.root.join("meta/episodes.jsonl");
         let text = read_text(&path, MAX_JSON)?;
         let one = |(number, line): (usize, &str)| {
-            let line: Line = serde_json::from_str(line).map_err(|error| wrong(&path, format!("line {}: {error}", number + 1)))?;
+            let line: Line =
+                serde_json::from_str(line).map_err(|error| wrong(&path, format!("line {}: {error}", number + 1)))?;
             let index = line.episode_index;
             let place = |template: &str, key: &str| {
-                let numbers = [("episode_chunk", index / self.info.chunks_size), ("episode_index", index)];
+                let numbers = [
+                    ("episode_chunk", index / self.info.chunks_size),
+                    ("episode_index", index),
+                ];
                 fill(template, &numbers, key).map_err(|what| wrong(&self.root.join("meta/info.json"), what))
             };
             let mut videos = BTreeMap::new();
@@ -175,9 +203,19 @@ impl Dataset {
             }
             let data = place(&self.info.data_path, "")?;
             let task = line.tasks.into_iter().next().unwrap_or_default();
-            Ok(EpisodeMeta { index, task, length: line.length, data, videos })
+            Ok(EpisodeMeta {
+                index,
+                task,
+                length: line.length,
+                data,
+                videos,
+            })
         };
-        text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()).map(one).collect()
+        text.lines()
+            .enumerate()
+            .filter(|(_, line)| !line.trim().is_empty())
+            .map(one)
+            .collect()
     }
 
     fn read_v30(&mut self) -> StageResult<Vec<EpisodeMeta>> {
@@ -185,7 +223,11 @@ impl Dataset {
         let mut files = Vec::new();
         for chunk in sorted(&folder)? {
             if chunk.is_dir() {
-                files.extend(sorted(&chunk)?.into_iter().filter(|path| path.extension().is_some_and(|ext| ext == "parquet")));
+                files.extend(
+                    sorted(&chunk)?
+                        .into_iter()
+                        .filter(|path| path.extension().is_some_and(|ext| ext == "parquet")),
+                );
             }
         }
         let relative = |path: &PathBuf| Some(path.strip_prefix(&self.root).ok()?.to_str()?.to_owned());
@@ -209,9 +251,19 @@ impl Dataset {
                     let template = self.info.video_path.as_deref().unwrap_or_default();
                     videos.insert(key.to_owned(), (place(template, (chunk, file), key)?, from));
                 }
-                let task = if table.has("tasks") { table.texts("tasks")?[row].clone() } else { String::new() };
+                let task = if table.has("tasks") {
+                    table.texts("tasks")?[row].clone()
+                } else {
+                    String::new()
+                };
                 let data = place(&self.info.data_path, (data_chunk[row], data_file[row]), "")?;
-                episodes.push(EpisodeMeta { index: index[row], task, length: length[row], data, videos });
+                episodes.push(EpisodeMeta {
+                    index: index[row],
+                    task,
+                    length: length[row],
+                    data,
+                    videos,
+                });
             }
         }
         Ok(episodes)
@@ -239,7 +291,11 @@ fn fill(template: &str, numbers: &[(&str, u64)], key: &str) -> Result<String, St
         } else {
             let number = numbers.iter().find(|(known, _)| *known == name).ok_or_else(wrong)?.1;
             let width = format.trim_end_matches('d');
-            let width: usize = if width.is_empty() { 0 } else { width.parse().map_err(|_| wrong())? };
+            let width: usize = if width.is_empty() {
+                0
+            } else {
+                width.parse().map_err(|_| wrong())?
+            };
             out.push_str(&format!("{number:0width$}", width = width.min(20)));
         }
         rest = after;
@@ -256,7 +312,10 @@ mod tests {
     fn templates_are_filled() {
         let numbers = [("episode_chunk", 0), ("episode_index", 10)];
         let template = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4";
-        assert_eq!(fill(template, &numbers, "cam").unwrap(), "videos/chunk-000/cam/episode_000010.mp4");
+        assert_eq!(
+            fill(template, &numbers, "cam").unwrap(),
+            "videos/chunk-000/cam/episode_000010.mp4"
+        );
         assert!(fill("{what}", &numbers, "").is_err());
         assert!(fill("{episode_index", &numbers, "").is_err());
     }

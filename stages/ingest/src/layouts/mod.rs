@@ -40,7 +40,10 @@ pub(crate) fn detect(root: &Path) -> Option<Layout> {
 /// Opens an episode.
 pub(crate) fn open(root: &Path, calibration: Option<&Path>, params: &Params) -> StageResult<Source> {
     if !root.is_dir() {
-        return Err(StageError::bad_input(format!("the episode folder `{}` is missing", root.display())));
+        return Err(StageError::bad_input(format!(
+            "the episode folder `{}` is missing",
+            root.display()
+        )));
     }
     let layout = match params.layout {
         LayoutChoice::Auto => detect(root).ok_or_else(|| {
@@ -71,14 +74,22 @@ pub(crate) struct LerobotListing {
 /// Lists a LeRobot data set. Episodes whose table is missing are left out: samples of large sets announce all of them.
 pub(crate) fn lerobot_dataset(root: &Path) -> StageResult<LerobotListing> {
     let dataset = Dataset::open(root)?;
-    let here = dataset.episodes.iter().filter(|episode| root.join(&episode.data).is_file());
+    let here = dataset
+        .episodes
+        .iter()
+        .filter(|episode| root.join(&episode.data).is_file());
     let files = |episode: &EpisodeMeta| {
         let videos = episode.videos.values().map(|(file, _)| file.clone());
-        let mut files: Vec<String> = videos.chain(["meta/info.json".to_owned(), episode.data.clone()]).collect();
+        let mut files: Vec<String> = videos
+            .chain(["meta/info.json".to_owned(), episode.data.clone()])
+            .collect();
         files.extend(dataset.meta_files.iter().cloned());
         (episode.selector(), files)
     };
-    Ok(LerobotListing { layout: dataset.version.layout(), episodes: here.map(files).collect() })
+    Ok(LerobotListing {
+        layout: dataset.version.layout(),
+        episodes: here.map(files).collect(),
+    })
 }
 
 /// The name that a camera of a DROID-like data set has in a clip: `wrist`, `ext1`, `ext2`, and `..._right` for right

@@ -42,15 +42,27 @@ impl Table {
             return Err(bad(&format!("{rows} rows")));
         }
         let schema = builder.schema().clone();
-        let roots: Vec<usize> = (0..schema.fields().len()).filter(|&index| wanted(schema.field(index).name())).collect();
+        let roots: Vec<usize> = (0..schema.fields().len())
+            .filter(|&index| wanted(schema.field(index).name()))
+            .collect();
         let mask = ProjectionMask::roots(builder.parquet_schema(), roots.iter().copied());
-        let reader = builder.with_projection(mask).with_batch_size(8192).build().map_err(|error| bad(&error))?;
-        let mut table = Self { path: path.to_owned(), rows: 0, columns: BTreeMap::new() };
+        let reader = builder
+            .with_projection(mask)
+            .with_batch_size(8192)
+            .build()
+            .map_err(|error| bad(&error))?;
+        let mut table = Self {
+            path: path.to_owned(),
+            rows: 0,
+            columns: BTreeMap::new(),
+        };
         for batch in reader {
             let batch = batch.map_err(|error| bad(&error))?;
             for (field, array) in batch.schema().fields().iter().zip(batch.columns()) {
                 let name = field.name();
-                table.append(name, array).map_err(|what| wrong(path, format!("column `{name}`: {what}")))?;
+                table
+                    .append(name, array)
+                    .map_err(|what| wrong(path, format!("column `{name}`: {what}")))?;
             }
             table.rows += batch.num_rows();
         }
@@ -64,7 +76,13 @@ impl Table {
             return Ok(());
         };
         match (column, part) {
-            (Column::Numbers { width, values }, Column::Numbers { width: more, values: added }) if *width == more => {
+            (
+                Column::Numbers { width, values },
+                Column::Numbers {
+                    width: more,
+                    values: added,
+                },
+            ) if *width == more => {
                 if (values.len() + added.len()) as u64 > MAX_VALUES {
                     return Err("it has too many values".into());
                 }
@@ -88,7 +106,10 @@ impl Table {
     pub(crate) fn numbers(&self, name: &str) -> StageResult<(usize, &[f64])> {
         match self.columns.get(name) {
             Some(Column::Numbers { width, values }) => Ok((*width, values)),
-            Some(Column::Texts(_)) => Err(wrong(&self.path, format!("column `{name}` holds text, expected numbers"))),
+            Some(Column::Texts(_)) => Err(wrong(
+                &self.path,
+                format!("column `{name}` holds text, expected numbers"),
+            )),
             None => Err(wrong(&self.path, format!("there is no column `{name}`"))),
         }
     }
@@ -98,9 +119,12 @@ impl Table {
         let (width, values) = self.numbers(name)?;
         let whole = |value: f64| (value >= 0.0 && value.fract() == 0.0 && value < 9e15).then_some(value as u64);
         let integers: Option<Vec<u64>> = values.iter().map(|&value| whole(value)).collect();
-        integers
-            .filter(|_| width == 1)
-            .ok_or_else(|| wrong(&self.path, format!("column `{name}` does not hold one whole number per row")))
+        integers.filter(|_| width == 1).ok_or_else(|| {
+            wrong(
+                &self.path,
+                format!("column `{name}` does not hold one whole number per row"),
+            )
+        })
     }
 
     /// A column of text: the first of each row.
@@ -116,13 +140,24 @@ fn column(array: &ArrayRef) -> Result<Column, String> {
     match array.data_type() {
         DataType::Utf8 | DataType::LargeUtf8 => {
             let texts = cast(array, &DataType::Utf8).map_err(|error| error.to_string())?;
-            Ok(Column::Texts(texts.as_string::<i32>().iter().map(|text| text.unwrap_or_default().to_owned()).collect()))
+            Ok(Column::Texts(
+                texts
+                    .as_string::<i32>()
+                    .iter()
+                    .map(|text| text.unwrap_or_default().to_owned())
+                    .collect(),
+            ))
         }
         DataType::FixedSizeList(_, width) => {
             let list: &FixedSizeListArray = array.as_fixed_size_list();
             let width = usize::try_from(*width).map_err(|_| "a list of negative length".to_owned())?;
-            let values = list.values().slice(list.value_offset_at(0) as usize, list.len() * width);
-            Ok(Column::Numbers { width, values: numbers(&values, list.null_count())? })
+            let values = list
+                .values()
+                .slice(list.value_offset_at(0) as usize, list.len() * width);
+            Ok(Column::Numbers {
+                width,
+                values: numbers(&values, list.null_count())?,
+            })
         }
         DataType::List(_) => {
             let list = array.as_list::<i32>();
@@ -130,17 +165,35 @@ fn column(array: &ArrayRef) -> Result<Column, String> {
             let (first, last) = (offsets[0] as usize, offsets[list.len()] as usize);
             let values = list.values().slice(first, last - first);
             if matches!(values.data_type(), DataType::Utf8 | DataType::LargeUtf8) {
-                let firsts = offsets.windows(2).map(|ends| (ends[0] < ends[1]).then_some(ends[0] as usize - first));
-                let Column::Texts(texts) = column(&values)? else { return Err("mixed".into()) };
-                return Ok(Column::Texts(firsts.map(|at| at.map_or(String::new(), |at| texts[at].clone())).collect()));
+                let firsts = offsets
+                    .windows(2)
+                    .map(|ends| (ends[0] < ends[1]).then_some(ends[0] as usize - first));
+                let Column::Texts(texts) = column(&values)? else {
+                    return Err("mixed".into());
+                };
+                return Ok(Column::Texts(
+                    firsts
+                        .map(|at| at.map_or(String::new(), |at| texts[at].clone()))
+                        .collect(),
+                ));
             }
-            let width = if list.is_empty() { 0 } else { (offsets[1] - offsets[0]) as usize };
+            let width = if list.is_empty() {
+                0
+            } else {
+                (offsets[1] - offsets[0]) as usize
+            };
             if offsets.windows(2).any(|ends| (ends[1] - ends[0]) as usize != width) {
                 return Err("its rows have different lengths".into());
             }
-            Ok(Column::Numbers { width, values: numbers(&values, list.null_count())? })
+            Ok(Column::Numbers {
+                width,
+                values: numbers(&values, list.null_count())?,
+            })
         }
-        _ => Ok(Column::Numbers { width: 1, values: numbers(array, 0)? }),
+        _ => Ok(Column::Numbers {
+            width: 1,
+            values: numbers(array, 0)?,
+        }),
     }
 }
 

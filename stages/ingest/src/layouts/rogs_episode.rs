@@ -32,7 +32,13 @@ pub(crate) fn read_description(root: &Path) -> StageResult<Episode> {
         wrong(&path, format!("not an episode description: {error}")).with_hint("docs/episode-format.md shows one")
     })?;
     if episode.format != EPISODE_FORMAT {
-        return Err(wrong(&path, format!("the format is `{}`, this program reads `{EPISODE_FORMAT}`", episode.format)));
+        return Err(wrong(
+            &path,
+            format!(
+                "the format is `{}`, this program reads `{EPISODE_FORMAT}`",
+                episode.format
+            ),
+        ));
     }
     checks::episode_id(&episode.episode_id, &path)?;
     Ok(episode)
@@ -43,7 +49,10 @@ pub(crate) fn open(root: &Path, calibration: Option<&Calibration>) -> StageResul
     let path = root.join(EPISODE_FILE);
     let episode = read_description(root)?;
     if !(1..=MAX_FRAMES).contains(&episode.frame_count) {
-        return Err(wrong(&path, format!("`frame_count` {} is impossible", episode.frame_count)));
+        return Err(wrong(
+            &path,
+            format!("`frame_count` {} is impossible", episode.frame_count),
+        ));
     }
     if !(episode.fps.is_finite() && episode.fps > 0.0) {
         return Err(wrong(&path, format!("`fps` {} must be above 0", episode.fps)));
@@ -54,9 +63,15 @@ pub(crate) fn open(root: &Path, calibration: Option<&Calibration>) -> StageResul
     }
     let frames = episode.frame_count;
     let states = read_states(root, &path, &episode.robot, frames)?;
-    let cameras: StageResult<Vec<SourceCamera>> =
-        episode.cameras.into_iter().map(|camera| open_camera(root, &path, camera, frames, calibration)).collect();
-    let tracks = episode.tracks.map(|tracks| read_tracks(root, &path, &tracks, frames)).transpose()?;
+    let cameras: StageResult<Vec<SourceCamera>> = episode
+        .cameras
+        .into_iter()
+        .map(|camera| open_camera(root, &path, camera, frames, calibration))
+        .collect();
+    let tracks = episode
+        .tracks
+        .map(|tracks| read_tracks(root, &path, &tracks, frames))
+        .transpose()?;
     let calibration_note = match calibration {
         Some(calibration) => calibration.note(),
         None => episode.calibration_note,
@@ -86,7 +101,10 @@ fn open_camera(
     let id = &camera.id;
     let size = (camera.width, camera.height);
     if !(1..=8192).contains(&size.0) || !(1..=8192).contains(&size.1) {
-        return Err(wrong(path, format!("camera `{id}` has images of {}x{} pixels", size.0, size.1)));
+        return Err(wrong(
+            path,
+            format!("camera `{id}` has images of {}x{} pixels", size.0, size.1),
+        ));
     }
     let pixel_shift = match camera.pixel_centres {
         PixelCentres::Half => 0.0,
@@ -98,28 +116,42 @@ fn open_camera(
     };
     let own = || {
         let Intrinsics { fx, fy, cx, cy } = camera.intrinsics;
-        let shifted = Intrinsics { fx, fy, cx: cx + pixel_shift, cy: cy + pixel_shift };
+        let shifted = Intrinsics {
+            fx,
+            fy,
+            cx: cx + pixel_shift,
+            cy: cy + pixel_shift,
+        };
         checks::intrinsics(shifted, size, &format!("camera `{id}`"), path)
     };
     let (intrinsics, other_mount) = match calibrated {
         Some(calibrated) => (calibrated.intrinsics, calibrated.mount),
         None => (own()?, None),
     };
-    let rigid = |Matrix4(matrix): &Matrix4, what: &str| checks::rigid_pose(matrix, &format!("{what} of camera `{id}`"), path);
+    let rigid =
+        |Matrix4(matrix): &Matrix4, what: &str| checks::rigid_pose(matrix, &format!("{what} of camera `{id}`"), path);
     let mount = match (other_mount, &camera.mount) {
         (Some(mount), _) => mount,
-        (None, EpisodeMount::Fixed { base_from_camera }) => SourceMount::Fixed(rigid(base_from_camera, "`base_from_camera`")?),
-        (None, EpisodeMount::HandEye { link, link_from_camera }) => {
-            SourceMount::HandEye { link: link.clone(), link_from_camera: rigid(link_from_camera, "`link_from_camera`")? }
+        (None, EpisodeMount::Fixed { base_from_camera }) => {
+            SourceMount::Fixed(rigid(base_from_camera, "`base_from_camera`")?)
         }
-        (None, EpisodeMount::Trajectory { base_from_camera }) => read_trajectory(&inside(root, base_from_camera, path)?, frames)?,
+        (None, EpisodeMount::HandEye { link, link_from_camera }) => SourceMount::HandEye {
+            link: link.clone(),
+            link_from_camera: rigid(link_from_camera, "`link_from_camera`")?,
+        },
+        (None, EpisodeMount::Trajectory { base_from_camera }) => {
+            read_trajectory(&inside(root, base_from_camera, path)?, frames)?
+        }
     };
     let images = match &camera.images {
         Some(images) => Some(FrameSource::open(inside(root, images, path)?, frames, size)?),
         None => None,
     };
     let depth = match &camera.depth {
-        Some(depth) => Some(SourceDepth { path: inside(root, &depth.path, path)?, range_m: depth.range_m }),
+        Some(depth) => Some(SourceDepth {
+            path: inside(root, &depth.path, path)?,
+            range_m: depth.range_m,
+        }),
         None => None,
     };
     let role = match camera.role {
@@ -127,7 +159,18 @@ fn open_camera(
         EpisodeCameraRole::Evaluation => CameraRole::Evaluation,
     };
     let (width, height) = size;
-    Ok(SourceCamera { id: camera.id, role, partner: camera.partner, width, height, intrinsics, pixel_shift, mount, images, depth })
+    Ok(SourceCamera {
+        id: camera.id,
+        role,
+        partner: camera.partner,
+        width,
+        height,
+        intrinsics,
+        pixel_shift,
+        mount,
+        images,
+        depth,
+    })
 }
 
 fn read_trajectory(path: &Path, frames: u32) -> StageResult<SourceMount> {
@@ -153,26 +196,44 @@ fn read_states(root: &Path, json: &Path, robot: &EpisodeRobot, frames: u32) -> S
         let found: Vec<usize> = (0..header.len()).filter(|&index| header[index] == name).collect();
         match found[..] {
             [column] => Ok(column),
-            [] => Err(wrong(&path, format!("there is no column `{name}`; the header is `{}`", header.join(",")))),
+            [] => Err(wrong(
+                &path,
+                format!("there is no column `{name}`; the header is `{}`", header.join(",")),
+            )),
             _ => Err(wrong(&path, format!("there are several columns `{name}`"))),
         }
     };
     let columns: StageResult<Vec<usize>> = robot.joint_names.iter().map(|name| column(name)).collect();
     let (columns, gripper_column) = (columns?, column(GRIPPER_COLUMN)?);
     let time_column = header.iter().position(|name| *name == TIME_COLUMN);
-    let mut states = States { joint_names: robot.joint_names.clone(), positions: Vec::new(), gripper: Vec::new() };
+    let mut states = States {
+        joint_names: robot.joint_names.clone(),
+        positions: Vec::new(),
+        gripper: Vec::new(),
+    };
     let mut before = f64::NEG_INFINITY;
     for (row, line) in lines.filter(|line| !line.trim().is_empty()).enumerate() {
         if row >= frames as usize {
-            return Err(wrong(&path, format!("there are more rows than the {frames} frames of the episode")));
+            return Err(wrong(
+                &path,
+                format!("there are more rows than the {frames} frames of the episode"),
+            ));
         }
         let cells: Vec<&str> = line.split(',').map(str::trim).collect();
         if cells.len() != header.len() {
-            return Err(wrong(&path, format!("row {row} has {} cells, the header {}", cells.len(), header.len())));
+            return Err(wrong(
+                &path,
+                format!("row {row} has {} cells, the header {}", cells.len(), header.len()),
+            ));
         }
         let number = |column: usize| {
             let cell = cells[column];
-            cell.parse::<f64>().map_err(|_| wrong(&path, format!("`{cell}` in column `{}`, row {row} is no number", header[column])))
+            cell.parse::<f64>().map_err(|_| {
+                wrong(
+                    &path,
+                    format!("`{cell}` in column `{}`, row {row} is no number", header[column]),
+                )
+            })
         };
         for &column in &columns {
             states.positions.push(number(column)?);
@@ -188,7 +249,13 @@ fn read_states(root: &Path, json: &Path, robot: &EpisodeRobot, frames: u32) -> S
         }
     }
     if states.gripper.len() != frames as usize {
-        return Err(wrong(&path, format!("there are {} rows, the episode has {frames} frames", states.gripper.len())));
+        return Err(wrong(
+            &path,
+            format!(
+                "there are {} rows, the episode has {frames} frames",
+                states.gripper.len()
+            ),
+        ));
     }
     checks::states(&states, "row", &path)?;
     Ok(states)
@@ -206,14 +273,29 @@ fn read_tracks(root: &Path, json: &Path, tracks: &EpisodeTracks, frames: u32) ->
     let (pixel, _) = array(&tracks.pixel, &[count, Some(2)])?;
     let (position, _) = array(&tracks.position_m, &[count, Some(u64::from(frames)), Some(3)])?;
     let (visible, visible_path) = array(&tracks.visible, &[count, Some(u64::from(frames))])?;
-    if let Some(index) = camera.iter().position(|value| value.fract() != 0.0 || !(0.0..256.0).contains(value)) {
-        return Err(wrong(&camera_path, format!("{} at {index} is no camera index", camera[index])));
+    if let Some(index) = camera
+        .iter()
+        .position(|value| value.fract() != 0.0 || !(0.0..256.0).contains(value))
+    {
+        return Err(wrong(
+            &camera_path,
+            format!("{} at {index} is no camera index", camera[index]),
+        ));
     }
     if let Some(index) = visible.iter().position(|value| *value != 0.0 && *value != 1.0) {
-        return Err(wrong(&visible_path, format!("{} at {index} is neither 0 nor 1", visible[index])));
+        return Err(wrong(
+            &visible_path,
+            format!("{} at {index} is neither 0 nor 1", visible[index]),
+        ));
     }
     if tracks.anchor_frame >= frames {
-        return Err(wrong(json, format!("the anchor frame {} of the tracks is not below {frames}", tracks.anchor_frame)));
+        return Err(wrong(
+            json,
+            format!(
+                "the anchor frame {} of the tracks is not below {frames}",
+                tracks.anchor_frame
+            ),
+        ));
     }
     let floats = |values: Vec<f64>| values.into_iter().map(|value| value as f32).collect();
     Ok(SourceTracks {
