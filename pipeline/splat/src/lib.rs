@@ -7,6 +7,7 @@ pub mod error;
 pub mod field;
 pub mod gaussians;
 mod order;
+pub mod ply;
 mod project;
 pub mod render;
 pub mod sh;
@@ -21,5 +22,6 @@ pub use contributions::{
 pub use error::{Result, SplatError};
 pub use field::{TimedField, field_camera};
 pub use gaussians::{Colour, Gaussians};
+pub use ply::{PlyScene, export_field, read_ply, read_ply_file, write_ply};
 pub use render::{Counts, Render, render, render_views};
 pub use simd::SimdLevel;

@@ -49,12 +49,18 @@ impl Batch {
         }
     }
 
-    /// Lays out the entries `first..` of a tile's list.
+    /// Lays out the entries `first..` of a tile's list, and asks for those `soon`.
     #[inline(always)]
-    pub(crate) fn fill(&mut self, list: &TileList, records: &[Projected], first: usize, extra: &Extra<'_>) {
+    pub(crate) fn fill(
+        &mut self,
+        list: &TileList,
+        records: &[Projected],
+        first: usize,
+        soon: usize,
+        extra: &Extra<'_>,
+    ) {
         self.count = BATCH.min(list.len() - first);
-        let next = first + self.count;
-        for place in next..(next + BATCH).min(list.len()) {
+        for place in soon..(soon + BATCH).min(list.len()) {
             prefetch(&records[list.records[list.slot(place)] as usize]);
         }
         for place in 0..self.count {
@@ -196,7 +202,7 @@ impl TileArea {
 pub(crate) struct BlockState {
     /// Transmittance behind everything composited so far.
     pub(crate) transmittance: Lanes,
-    /// The same while the pixel is unfinished, 0 afterwards.
+    /// The same, but running on behind the stop: it only falls, so that a pixel stays finished. 0 beyond the border.
     open: Lanes,
     /// Weighted sums: red, green, blue, z, extra channels.
     pub(crate) sums: [Lanes; 4 + EXTRA],
@@ -264,7 +270,7 @@ impl<const X: usize, const TRACE: bool, const CONTRIBUTE: bool> WithSimd for Com
         let mut reach = [0_u64; MAX_BLOCKS];
         let mut first = 0;
         while first < list.len() && unfinished != 0 {
-            batch.fill(list, records, first, &extra);
+            batch.fill(list, records, first, first + BATCH, &extra);
             batch.reach(simd, &area, &mut reach);
             if TRACE {
                 recorded.reach.push(reach);
@@ -353,15 +359,15 @@ impl Walk<'_> {
             let falloff = exp2(simd, power);
             let alpha = simd.min_f32s(alpha_max, simd.mul_f32s(simd.splat_f32s(values[0]), falloff));
             let touched = simd.greater_than_or_equal_f32s(alpha, cut);
-            // Where the Gaussian does not touch, alpha 0 leaves everything as it is; where the pixel is finished,
-            // `open` is 0 and stays 0.
+            // Where the Gaussian does not touch, alpha 0 leaves everything as it is. `open` is the only chain from one
+            // Gaussian to the next and takes one operation; behind the stop it stays below the stop.
             let alpha = simd.select_f32s(touched, alpha, zero);
             let weight = simd.mul_f32s(alpha, open);
             let behind = simd.negate_mul_add_f32s(alpha, open, open);
             let going = simd.greater_than_f32s(behind, stop);
             let weight = simd.select_f32s(going, weight, zero);
             transmittance = simd.select_f32s(going, behind, transmittance);
-            open = simd.select_f32s(going, behind, zero);
+            open = behind;
             opacity = simd.add_f32s(opacity, weight);
             for k in 0..4 + X {
                 sums[k] = simd.mul_add_f32s(weight, simd.splat_f32s(values[1 + k]), sums[k]);
@@ -386,7 +392,7 @@ impl Walk<'_> {
         state.opacity = store::<S>(opacity);
         state.end = bytemuck::cast(end);
         state.contributors = bytemuck::cast(contributors);
-        bits(simd, simd.greater_than_f32s(open, zero)) != 0
+        bits(simd, simd.greater_than_f32s(open, stop)) != 0
     }
 
     #[inline(always)]

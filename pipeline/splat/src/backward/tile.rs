@@ -55,7 +55,7 @@ impl<const X: usize> WithSimd for Walk<'_, X> {
         let mut batch = Batch::new();
         for number in (0..end.div_ceil(BATCH)).rev() {
             let first = number * BATCH;
-            batch.fill(&tile.list, records, first, &extra);
+            batch.fill(&tile.list, records, first, first.saturating_sub(BATCH), &extra);
             let reach = &tile.recorded.reach[number];
             for place in (0..batch.count.min(end - first)).rev() {
                 let mut at = 0_u32;
@@ -126,7 +126,8 @@ fn one<S: Simd, const X: usize>(
         let touched = simd.greater_than_or_equal_f32s(alpha, cut);
         let before_end = simd.greater_than_u32s(bytemuck::cast(block.end), here);
         let alpha = simd.select_f32s(simd.and_m32s(touched, before_end), alpha, zero);
-        let transmittance = simd.div_f32s(load::<S>(&block.transmittance), simd.sub_f32s(unit, alpha));
+        let through = simd.sub_f32s(unit, alpha);
+        let transmittance = simd.mul_f32s(load::<S>(&block.transmittance), simd.div_f32s(unit, through));
         block.transmittance = store::<S>(transmittance);
         let weight = simd.mul_f32s(alpha, transmittance);
         let mut seen = simd.mul_f32s(load::<S>(&block.gradient[0]), simd.splat_f32s(values[1]));
@@ -135,7 +136,7 @@ fn one<S: Simd, const X: usize>(
         }
         let behind = load::<S>(&block.behind);
         let difference = simd.sub_f32s(seen, behind);
-        block.behind = store::<S>(simd.mul_add_f32s(alpha, difference, behind));
+        block.behind = store::<S>(simd.mul_add_f32s(through, behind, simd.mul_f32s(alpha, seen)));
         let free = simd.less_than_or_equal_f32s(unclamped, alpha_max);
         let dp = simd.select_f32s(free, simd.mul_f32s(weight, difference), zero);
         let (dpl, dpy) = (simd.mul_f32s(dp, l), simd.mul_f32s(dp, dy));

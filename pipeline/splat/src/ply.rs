@@ -1,0 +1,387 @@
+//! 3DGS PLY files (`chunk-format.md` section 6).
+//!
+//! Binary little-endian, one `element vertex`, `property float` throughout: `x y z`, `f_dc_0..2`, `f_rest_*` (all of red,
+//! then green, then blue), `opacity` as a logit, `scale_0..2` as natural logarithms of the standard deviations,
+//! `rot_0..3` as (w, x, y, z). Properties are found by name; others (normals, say) are skipped. We write lengths in
+//! metres and say so in comments, because the format itself has no unit.
+
+use std::collections::HashMap;
+use std::io::{BufWriter, Read, Write};
+use std::path::Path;
+
+use rogs_schemas::units::UNITS_PER_METRE;
+
+use crate::error::{Result, SplatError};
+use crate::field::{TimedField, logistic};
+use crate::gaussians::{Colour, Gaussians, MAX_GAUSSIANS};
+use crate::sh;
+
+/// Longest header that is read.
+const MAX_HEADER: usize = 1 << 16;
+/// Most properties of the vertex element.
+const MAX_PROPERTIES: usize = 1024;
+/// Opacities are written as logits of values at least this far from 0 and 1, which f32 can tell apart.
+const OPACITY_MARGIN: f32 = 1e-6;
+
+/// What a PLY file holds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlyScene {
+    /// The Gaussians, in the unit and frame of the file (metres and the reconstruction frame for our own files).
+    pub gaussians: Gaussians,
+    /// Comment lines of the header.
+    pub comments: Vec<String>,
+}
+
+/// Reads a PLY file.
+///
+/// # Errors
+/// When the file cannot be read, is no 3DGS PLY, or is shorter than its header says.
+pub fn read_ply_file(path: &Path) -> Result<PlyScene> {
+    let io = |action| {
+        move |source| SplatError::Io {
+            action,
+            path: path.to_owned(),
+            source,
+        }
+    };
+    let file = std::fs::File::open(path).map_err(io("opening"))?;
+    let length = file.metadata().map_err(io("reading the size of"))?.len();
+    // The header bounds what follows; nothing is allocated beyond the size of the file.
+    let mut bytes = Vec::with_capacity(usize::try_from(length).unwrap_or(0).min(1 << 32));
+    file.take(length).read_to_end(&mut bytes).map_err(io("reading"))?;
+    read_ply(&bytes)
+}
+
+/// Reads a PLY file that lies in memory.
+///
+/// # Errors
+/// When it is no 3DGS PLY, or is shorter than its header says.
+pub fn read_ply(bytes: &[u8]) -> Result<PlyScene> {
+    let header = Header::parse(bytes)?;
+    let n = header.vertices;
+    let body = &bytes[header.length..];
+    let needed = n.checked_mul(header.stride).and_then(|b| b.checked_add(header.skip));
+    if needed.is_none_or(|needed| body.len() < needed) {
+        return Err(wrong(format!(
+            "the header promises {n} vertices of {} bytes, {} bytes follow it",
+            header.stride,
+            body.len()
+        )));
+    }
+    let names = [
+        "x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
+    ];
+    let mut offsets = [0; 11];
+    for (offset, name) in offsets.iter_mut().zip(names) {
+        *offset = header.float(name)?;
+    }
+    let dc = [
+        header.float("f_dc_0")?,
+        header.float("f_dc_1")?,
+        header.float("f_dc_2")?,
+    ];
+    let rest_count = header.rest_count()?;
+    let degree = match rest_count {
+        0 => 0,
+        9 => 1,
+        24 => 2,
+        45 => 3,
+        other => {
+            return Err(wrong(format!(
+                "{other} properties `f_rest_*`; degrees 0 to 3 have 0, 9, 24 or 45"
+            )));
+        }
+    };
+    let rest = (0..rest_count)
+        .map(|k| header.float(&format!("f_rest_{k}")))
+        .collect::<Result<Vec<_>>>()?;
+
+    let per = 3 * sh::coefficient_count(degree);
+    let mut gaussians = Gaussians {
+        means: Vec::with_capacity(3 * n),
+        quats: Vec::with_capacity(4 * n),
+        scales: Vec::with_capacity(3 * n),
+        opacities: Vec::with_capacity(n),
+        ..Gaussians::empty()
+    };
+    let mut coefficients = Vec::with_capacity(per * n);
+    for vertex in body[header.skip..].chunks_exact(header.stride).take(n) {
+        let float = |offset: usize| f32_at(vertex, offset);
+        gaussians.means.extend(offsets[..3].iter().map(|&o| float(o)));
+        gaussians.opacities.push(logistic(float(offsets[3])));
+        gaussians
+            .scales
+            .extend(offsets[4..7].iter().map(|&o| libm::expf(float(o))));
+        gaussians.quats.extend(offsets[7..].iter().map(|&o| float(o)));
+        coefficients.extend(dc.map(float));
+        for k in 1..per / 3 {
+            let bands = per / 3 - 1;
+            coefficients.extend((0..3).map(|c| float(rest[c * bands + k - 1])));
+        }
+    }
+    gaussians.colour = Colour::Sh { degree, coefficients };
+    Ok(PlyScene {
+        gaussians,
+        comments: header.comments,
+    })
+}
+
+fn f32_at(bytes: &[u8], offset: usize) -> f32 {
+    let mut four = [0; 4];
+    four.copy_from_slice(&bytes[offset..offset + 4]);
+    f32::from_le_bytes(four)
+}
+
+fn wrong(what: String) -> SplatError {
+    SplatError::Ply { what }
+}
+
+/// The part of a header that matters.
+struct Header {
+    /// Bytes of the header.
+    length: usize,
+    /// Bytes of elements before the vertices.
+    skip: usize,
+    vertices: usize,
+    /// Bytes of a vertex.
+    stride: usize,
+    /// Offset in a vertex and whether it is a float, by name.
+    properties: HashMap<String, (usize, bool)>,
+    comments: Vec<String>,
+}
+
+impl Header {
+    fn parse(bytes: &[u8]) -> Result<Self> {
+        let head = &bytes[..bytes.len().min(MAX_HEADER)];
+        let mut header = Self {
+            length: 0,
+            skip: 0,
+            vertices: 0,
+            stride: 0,
+            properties: HashMap::new(),
+            comments: Vec::new(),
+        };
+        let mut element: Option<(bool, usize)> = None; // is it the vertices, and how many
+        let (mut seen_format, mut seen_vertices) = (false, false);
+        let mut at = 0;
+        for number in 1.. {
+            let Some(end) = head[at..].iter().position(|&b| b == b'\n') else {
+                return Err(wrong(format!("no `end_header` in the first {} bytes", head.len())));
+            };
+            let line = std::str::from_utf8(&head[at..at + end])
+                .map_err(|_| wrong(format!("line {number} of the header is not text")))?
+                .trim_end_matches('\r');
+            at += end + 1;
+            let mut words = line.split_ascii_whitespace();
+            let problem = |what: &str| wrong(format!("line {number} of the header, `{line}`: {what}"));
+            match words.next() {
+                Some("ply") if number == 1 => {}
+                _ if number == 1 => return Err(wrong("the file does not begin with `ply`".into())),
+                Some("format") => {
+                    if words.next() != Some("binary_little_endian") {
+                        return Err(problem("only binary_little_endian is read"));
+                    }
+                    seen_format = true;
+                }
+                Some("comment" | "obj_info") => header.comments.push(words.collect::<Vec<_>>().join(" ")),
+                Some("element") => {
+                    let name = words.next();
+                    let count = words.next().and_then(|c| c.parse::<usize>().ok());
+                    let count = count
+                        .filter(|&c| c <= MAX_GAUSSIANS)
+                        .ok_or_else(|| problem("not a usable count"))?;
+                    let vertices = name == Some("vertex");
+                    if vertices && seen_vertices {
+                        return Err(problem("a second vertex element"));
+                    }
+                    if vertices {
+                        header.vertices = count;
+                    }
+                    seen_vertices |= vertices;
+                    element = Some((vertices, count));
+                }
+                Some("property") => {
+                    let (vertices, count) = element.ok_or_else(|| problem("a property before any element"))?;
+                    let kind = words.next().unwrap_or("");
+                    let Some(size) = size_of_type(kind) else {
+                        // Lists of later elements (faces, say) are never reached.
+                        if vertices || !seen_vertices {
+                            return Err(problem(
+                                "lists and unknown types are not read before or in the vertices",
+                            ));
+                        }
+                        continue;
+                    };
+                    if vertices {
+                        let name = words.next().ok_or_else(|| problem("a property without a name"))?;
+                        let place = (header.stride, matches!(kind, "float" | "float32"));
+                        if header.properties.len() >= MAX_PROPERTIES {
+                            return Err(problem("too many properties"));
+                        }
+                        if header.properties.insert(name.to_owned(), place).is_some() {
+                            return Err(problem("a second property of that name"));
+                        }
+                        header.stride += size;
+                    } else if !seen_vertices {
+                        header.skip = size
+                            .checked_mul(count)
+                            .and_then(|bytes| bytes.checked_add(header.skip))
+                            .ok_or_else(|| problem("an element of impossible size"))?;
+                    }
+                }
+                Some("end_header") => break,
+                Some(_) => return Err(problem("not a PLY header line")),
+                None => {}
+            }
+        }
+        if !seen_format || !seen_vertices || header.stride == 0 {
+            return Err(wrong(
+                "the header has no format line or no vertex element with properties".into(),
+            ));
+        }
+        header.length = at;
+        Ok(header)
+    }
+
+    /// Offset of a float property.
+    fn float(&self, name: &str) -> Result<usize> {
+        match self.properties.get(name) {
+            Some(&(offset, true)) => Ok(offset),
+            Some(_) => Err(wrong(format!("property `{name}` is not a float"))),
+            None => Err(wrong(format!("property `{name}` is missing"))),
+        }
+    }
+
+    /// Number of `f_rest_*`, which must be numbered without gaps.
+    fn rest_count(&self) -> Result<usize> {
+        let count = self
+            .properties
+            .keys()
+            .filter(|name| name.starts_with("f_rest_"))
+            .count();
+        for k in 0..count {
+            self.float(&format!("f_rest_{k}"))?;
+        }
+        Ok(count)
+    }
+}
+
+fn size_of_type(name: &str) -> Option<usize> {
+    Some(match name {
+        "char" | "uchar" | "int8" | "uint8" => 1,
+        "short" | "ushort" | "int16" | "uint16" => 2,
+        "int" | "uint" | "float" | "int32" | "uint32" | "float32" => 4,
+        "double" | "float64" => 8,
+        _ => return None,
+    })
+}
+
+/// Writes Gaussians, dividing lengths by `units_per_metre` (1 when they are in metres already). Extra channels are not
+/// part of the format.
+///
+/// # Errors
+/// When arrays contradict each other or the writer fails (reported as an I/O error of `path_for_errors`).
+pub fn write_ply(
+    gaussians: &Gaussians,
+    units_per_metre: f64,
+    comments: &[String],
+    writer: &mut impl Write,
+    path_for_errors: &Path,
+) -> Result<()> {
+    gaussians.validate()?;
+    let mut write = |bytes: &[u8]| {
+        let io = |source| SplatError::Io {
+            action: "writing",
+            path: path_for_errors.to_owned(),
+            source,
+        };
+        writer.write_all(bytes).map_err(io)
+    };
+    let degree = match &gaussians.colour {
+        Colour::Rgb(_) => 0,
+        Colour::Sh { degree, .. } => *degree,
+    };
+    let bands = sh::coefficient_count(degree) - 1;
+    write(header(gaussians.len(), 3 * bands, comments).as_bytes())?;
+    let scale = units_per_metre as f32;
+    let mut row = Vec::with_capacity(4 * (14 + 3 * bands));
+    for n in 0..gaussians.len() {
+        row.clear();
+        let mut put = |value: f32| row.extend_from_slice(&value.to_le_bytes());
+        gaussians.means[3 * n..3 * n + 3].iter().for_each(|v| put(v / scale));
+        match &gaussians.colour {
+            Colour::Rgb(rgb) => rgb[3 * n..3 * n + 3]
+                .iter()
+                .for_each(|&v| put(sh::coefficient_from_colour(v))),
+            Colour::Sh { coefficients, .. } => {
+                let own = &coefficients[3 * (bands + 1) * n..3 * (bands + 1) * (n + 1)];
+                own[..3].iter().for_each(|&v| put(v));
+                for c in 0..3 {
+                    (1..=bands).for_each(|k| put(own[3 * k + c]));
+                }
+            }
+        }
+        let opacity = gaussians.opacities[n].clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
+        put(libm::logf(opacity / (1.0 - opacity)));
+        gaussians.scales[3 * n..3 * n + 3]
+            .iter()
+            .for_each(|v| put(libm::logf((v / scale).max(f32::MIN_POSITIVE))));
+        let quat = &gaussians.quats[4 * n..4 * n + 4];
+        let norm = quat.iter().map(|q| q * q).sum::<f32>().sqrt();
+        if norm > 0.0 && norm.is_finite() {
+            quat.iter().for_each(|q| put(q / norm));
+        } else {
+            [1.0, 0.0, 0.0, 0.0].into_iter().for_each(put);
+        }
+        write(&row)?;
+    }
+    Ok(())
+}
+
+fn header(vertices: usize, rest: usize, comments: &[String]) -> String {
+    let mut text = String::from("ply\nformat binary_little_endian 1.0\n");
+    for comment in comments {
+        let line: String = comment.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+        text += &format!("comment {line}\n");
+    }
+    text += &format!("element vertex {vertices}\n");
+    let fixed = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2"].map(str::to_owned);
+    let rest = (0..rest).map(|k| format!("f_rest_{k}"));
+    let tail = [
+        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
+    ]
+    .map(str::to_owned);
+    for name in fixed.into_iter().chain(rest).chain(tail) {
+        text += &format!("property float {name}\n");
+    }
+    text + "end_header\n"
+}
+
+/// Writes a field at a stored time: metres, reconstruction frame (OpenCV axes of the first source camera), one row per
+/// Gaussian in the field's order. The file appears under its name only when it is complete.
+///
+/// # Errors
+/// When the time is not stored or the file cannot be written.
+pub fn export_field(field: &TimedField<'_>, time: f64, path: &Path) -> Result<()> {
+    let gaussians = field.gaussians(time)?;
+    let comments = ["frame recon_opencv unit m".to_owned(), format!("time {time}")];
+    let io = |action| {
+        move |source| SplatError::Io {
+            action,
+            path: path.to_owned(),
+            source,
+        }
+    };
+    let partial = path.with_extension("ply.partial");
+    let file = std::fs::File::create(&partial).map_err(io("creating"))?;
+    let mut writer = BufWriter::with_capacity(1 << 20, file);
+    let written = write_ply(&gaussians, UNITS_PER_METRE, &comments, &mut writer, path)
+        .and_then(|()| writer.flush().map_err(io("writing")))
+        .and_then(|()| writer.get_ref().sync_all().map_err(io("writing")));
+    if let Err(error) = written {
+        // The half file is of no use to anyone; the first error is the one to report.
+        let _ = std::fs::remove_file(&partial);
+        return Err(error);
+    }
+    std::fs::rename(&partial, path).map_err(io("renaming to"))
+}
