@@ -93,7 +93,11 @@ pub struct PlannedUnit {
 /// # Errors
 /// When the operating system refuses.
 pub fn append(path: &Path, attempt: &Attempt) -> Result<()> {
-    let io = |source| Error::Io { action: "appending to", path: path.to_owned(), source };
+    let io = |source| Error::Io {
+        action: "appending to",
+        path: path.to_owned(),
+        source,
+    };
     let mut line = serde_json::to_vec(attempt).map_err(|error| io(std::io::Error::other(error)))?;
     line.push(b'\n');
     let open = || std::fs::OpenOptions::new().create(true).append(true).open(path);
@@ -114,9 +118,16 @@ pub fn append(path: &Path, attempt: &Attempt) -> Result<()> {
 /// When the operating system refuses.
 pub fn read(path: &Path) -> Result<Vec<Attempt>> {
     match std::fs::read(path) {
-        Ok(bytes) => Ok(bytes.split(|&byte| byte == b'\n').filter_map(|line| serde_json::from_slice(line).ok()).collect()),
+        Ok(bytes) => Ok(bytes
+            .split(|&byte| byte == b'\n')
+            .filter_map(|line| serde_json::from_slice(line).ok())
+            .collect()),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Vec::new()),
-        Err(source) => Err(Error::Io { action: "reading", path: path.to_owned(), source }),
+        Err(source) => Err(Error::Io {
+            action: "reading",
+            path: path.to_owned(),
+            source,
+        }),
     }
 }
 
@@ -139,12 +150,21 @@ mod tests {
             peak_rss_bytes: 0,
             output_bytes: 0,
             warnings: vec![],
-            failure: Some(Failure { code: FailureCode::Io, message: "disk".into(), hint: None }),
+            failure: Some(Failure {
+                code: FailureCode::Io,
+                message: "disk".into(),
+                hint: None,
+            }),
             stderr: vec![],
             worker: "host-1".into(),
         };
         append(&path, &attempt).unwrap();
-        std::fs::OpenOptions::new().append(true).open(&path).unwrap().write_all(b"{\"unix_ms\": 2, \"cl\n").unwrap();
+        std::fs::OpenOptions::new()
+            .append(true)
+            .open(&path)
+            .unwrap()
+            .write_all(b"{\"unix_ms\": 2, \"cl\n")
+            .unwrap();
         attempt.unix_ms = 3;
         append(&path, &attempt).unwrap();
         let times: Vec<u64> = read(&path).unwrap().iter().map(|attempt| attempt.unix_ms).collect();

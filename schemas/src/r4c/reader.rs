@@ -336,6 +336,19 @@ impl Reader {
         Ok(values)
     }
 
+    /// The decoded bytes of chunk `ordinal` of a stream, whatever its type.
+    ///
+    /// # Errors
+    /// When the stream or the chunk is missing or damaged.
+    pub fn chunk_bytes(&self, name: &str, ordinal: usize) -> Result<Vec<u8>> {
+        let (number, _) = self.find(name)?;
+        let entry = self.entries_of(number).get(ordinal);
+        let entry = entry.ok_or_else(|| self.inconsistent(format!("stream `{name}` has no chunk {ordinal}")))?;
+        let mut bytes = self.buffer::<u8>(entry.decoded as usize)?;
+        self.decode_chunk(&mut Scratch::default(), entry, &mut bytes)?;
+        Ok(bytes)
+    }
+
     /// An error about what the streams say.
     #[must_use]
     pub fn inconsistent(&self, what: impl std::fmt::Display) -> Error {

@@ -1,11 +1,10 @@
 """Reads a .r4c container with struct and zstandard alone (numpy where it is there), to check the format from outside.
 
-As a program: `python r4c.py FILE` prints streams and chunks as JSON, with the CRC-32 (zlib) of each chunk's bytes.
+As a program: `python r4c.py FILE` prints streams and chunks as JSON, with the decoded bytes of each chunk in hex.
 """
 import json
 import struct
 import sys
-import zlib
 
 import zstandard
 
@@ -102,5 +101,5 @@ def arrays(path, name):
 
 if __name__ == "__main__":
     schema, meta, content = read(sys.argv[1])
-    describe = lambda info, part: dict(info, chunks=[[at, len(data), zlib.crc32(data)] for at, data in part])
+    describe = lambda info, part: dict(info, chunks=[[at, data.hex()] for at, data in part])
     print(json.dumps(dict(schema=schema, content=meta["content"], streams=[describe(*pair) for pair in content.values()])))

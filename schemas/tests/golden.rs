@@ -1,0 +1,86 @@
+//! Every released schema version stays readable, and today's writer still makes the same bytes.
+//!
+//! `UPDATE_GOLDEN=1 cargo test -p rogs-schemas --test golden` writes missing files; an existing one is never replaced,
+//! because a changed layout needs a new version.
+
+mod common;
+
+use std::fmt::Debug;
+use std::path::PathBuf;
+use std::process::Command;
+
+use common::Scratch;
+use rogs_schemas::r4c::Reader;
+use rogs_schemas::{Record, read_record, write_record};
+
+fn golden(name: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/golden")
+        .join(name)
+}
+
+fn stays<T: Record + Debug>(name: &str, record: &T) {
+    let path = golden(&format!("{name}-{}.{}.r4c", T::SCHEMA.major, T::SCHEMA.minor));
+    if !path.exists() && std::env::var_os("UPDATE_GOLDEN").is_some() {
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        write_record(&path, record, &common::provenance(name)).unwrap();
+    }
+    let (read, info) = read_record::<T>(&path).unwrap();
+    assert_eq!(format!("{read:?}"), format!("{record:?}"), "{name}");
+    let scratch = Scratch::new(&format!("golden-{name}"));
+    let again = scratch.file("again.r4c");
+    let rewritten = write_record(&again, record, &common::provenance(name)).unwrap();
+    assert_eq!(
+        rewritten.content, info.content,
+        "{name}: the content hash does not depend on the compression"
+    );
+    assert_eq!(
+        std::fs::read(&again).unwrap(),
+        std::fs::read(&path).unwrap(),
+        "{name}: same bytes with the pinned zstd"
+    );
+}
+
+#[test]
+fn every_schema_version_stays_readable() {
+    stays("clip", &common::clip());
+    stays("robot", &common::robot());
+    stays("conditioning", &common::conditioning());
+    stays("field", &common::field());
+    stays("refinement", &common::refinement());
+    stays("scores", &common::scores());
+}
+
+/// A reader of another language, written from the description of the format alone, finds the same bytes.
+#[test]
+fn python_reads_the_same_bytes() {
+    let script = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/python/r4c.py");
+    let python = std::env::var("ROGS_PEER_PYTHON").unwrap_or_else(|_| "python3".into());
+    let has_zstandard = Command::new(&python).args(["-c", "import zstandard"]).output();
+    if !has_zstandard.is_ok_and(|output| output.status.success()) {
+        eprintln!("skipped: `{python}` with the package zstandard is not here (set ROGS_PEER_PYTHON)");
+        return;
+    }
+    for name in ["clip", "robot", "conditioning", "field", "refinement", "scores"] {
+        let path = golden(&format!("{name}-1.0.r4c"));
+        let output = Command::new(&python).arg(&script).arg(&path).output().unwrap();
+        assert!(
+            output.status.success(),
+            "{name}: {}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+        let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let reader = Reader::open(&path).unwrap();
+        assert_eq!(report["content"], reader.content_hash().to_string());
+        for (stream, seen) in reader.streams().iter().zip(report["streams"].as_array().unwrap()) {
+            assert_eq!(seen["name"], stream.name);
+            let chunks: Vec<&serde_json::Value> = seen["chunks"].as_array().unwrap().iter().collect();
+            assert_eq!(chunks.len(), reader.chunks(&stream.name).unwrap().len());
+            for (number, chunk) in chunks.iter().enumerate() {
+                let bytes = reader.chunk_bytes(&stream.name, number).unwrap();
+                let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+                assert_eq!(chunk[1], hex, "{name}: chunk {number} of `{}`", stream.name);
+            }
+        }
+    }
+}

@@ -1,0 +1,62 @@
+//! A writer that is killed leaves the old file, the new one, or none; never half of one.
+#![cfg(unix)]
+
+mod common;
+
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use common::Scratch;
+use rogs_schemas::atomic::sweep;
+use rogs_schemas::r4c::verify;
+use rogs_schemas::write_record;
+
+const FOLDER: &str = "ROGS_TEST_KILL_FOLDER";
+
+/// The child: writes files for ever. Does nothing when it is run as a test.
+#[test]
+#[ignore = "long: the writer that `a_killed_writer_leaves_whole_files` starts and kills"]
+fn writer() {
+    let Some(folder) = std::env::var_os(FOLDER).map(std::path::PathBuf::from) else {
+        return;
+    };
+    let field = common::field();
+    loop {
+        for name in ["a.r4c", "b.r4c", "c.r4c"] {
+            write_record(&folder.join(name), &field, &common::provenance("field")).unwrap();
+        }
+    }
+}
+
+#[test]
+fn a_killed_writer_leaves_whole_files() {
+    let scratch = Scratch::new("kill");
+    let mut seen = 0;
+    for round in 0..25u64 {
+        let mut child = Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "writer", "--ignored"])
+            .env(FOLDER, &scratch.0)
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(Duration::from_micros(4_000 + 1_700 * round));
+        child.kill().unwrap();
+        child.wait().unwrap();
+        sweep(&scratch.0).unwrap();
+        for entry in std::fs::read_dir(&scratch.0).unwrap() {
+            let path = entry.unwrap().path();
+            assert_eq!(
+                path.extension().unwrap(),
+                "r4c",
+                "round {round}: {} is left",
+                path.display()
+            );
+            verify(&path).unwrap_or_else(|error| panic!("round {round}: {error}"));
+            seen += 1;
+        }
+    }
+    assert!(
+        seen > 0,
+        "the writer was killed before it wrote anything, in every round"
+    );
+}
