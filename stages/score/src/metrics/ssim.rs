@@ -4,6 +4,7 @@
 //! four maps are filtered instead of five. Rows are filtered with the channels interleaved: a tap of the horizontal pass
 //! is three values away, and every loop runs over contiguous memory.
 
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -19,6 +20,13 @@ const BAND: usize = 24;
 /// Filtered maps: x, y, x^2 + y^2, xy.
 const MAPS: usize = 4;
 const CHANNELS: usize = 3;
+/// Output rows that the vertical pass computes together, and the input rows they need.
+const GROUP: usize = 4;
+const GROUP_ROWS: usize = TAPS + GROUP - 1;
+/// Slots of the ring of input rows; at least `GROUP_ROWS`.
+const RING: usize = 16;
+/// Widest vector of any instruction set.
+const MAX_LANES: usize = 8;
 
 /// Which of the SSIM definitions in use. They differ in the third decimal; a table names the one it holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, schemars::JsonSchema)]
@@ -124,60 +132,66 @@ struct Band<'a> {
     start: usize,
 }
 
-impl pulp::NullaryFnOnce for Band<'_> {
+impl WithSimd for Band<'_> {
     type Output = f64;
 
     #[inline(always)]
-    fn call(self) -> f64 {
-        self.plan.band(self.start)
+    fn with_simd<S: Simd>(self, simd: S) -> f64 {
+        self.plan.band(simd, self.start)
     }
 }
 
 impl Plan<'_> {
     /// Sum of the index over the output rows `start..start + BAND` (or fewer at the end).
     #[inline(always)]
-    fn band(&self, start: usize) -> f64 {
+    fn band<S: Simd>(&self, simd: S, start: usize) -> f64 {
         let end = (start + BAND).min(self.out_height);
         let in_row = (self.out_width + 2 * RADIUS) * CHANNELS;
         let out_row = self.out_width * CHANNELS;
-        // [TAPS, MAPS, in_row]: the last eleven input rows.
-        let mut ring = vec![0.0f64; TAPS * MAPS * in_row];
-        // [MAPS, in_row] and [MAPS, out_row]
-        let mut vertical = vec![0.0f64; MAPS * in_row];
-        let mut means = vec![0.0f64; MAPS * out_row];
+        let out_stride = out_row.next_multiple_of(MAX_LANES);
+        // The horizontal pass reads whole vectors up to its last tap.
+        let stride = (out_stride + 2 * RADIUS * CHANNELS).next_multiple_of(MAX_LANES);
+        let slot_length = MAPS * stride;
+        // [RING, MAPS, stride]: the input rows of the current group of output rows.
+        let mut ring = vec![0.0f64; RING * slot_length];
+        // [GROUP, MAPS, stride] and [MAPS, out_stride]
+        let mut vertical = vec![0.0f64; GROUP * slot_length];
+        let mut means = vec![0.0f64; MAPS * out_stride];
         let mut sums = [0.0f64; 8];
-        for row in start..end + 2 * RADIUS {
-            let slot = row % TAPS;
-            self.load_row(row, &mut ring[slot * MAPS * in_row..(slot + 1) * MAPS * in_row]);
-            let Some(out) = row.checked_sub(2 * RADIUS).filter(|&out| out >= start) else {
-                continue;
-            };
-            // Tap k of output row `out` is input row `out + k`.
-            let rows: [&[f64]; TAPS] = std::array::from_fn(|tap| {
-                let slot = (out + tap) % TAPS;
-                &ring[slot * MAPS * in_row..(slot + 1) * MAPS * in_row]
-            });
-            filter(&rows, &self.taps, &mut vertical);
-            for map in 0..MAPS {
-                let line = &vertical[map * in_row..(map + 1) * in_row];
-                let shifted: [&[f64]; TAPS] =
-                    std::array::from_fn(|tap| &line[tap * CHANNELS..tap * CHANNELS + out_row]);
-                filter(&shifted, &self.taps, &mut means[map * out_row..(map + 1) * out_row]);
+        let mut loaded = start;
+        for first in (start..end).step_by(GROUP) {
+            while loaded < first + GROUP_ROWS {
+                let slot = loaded % RING * slot_length;
+                // Rows past the end belong to output rows that are not used.
+                let row = loaded.min(self.out_height + 2 * RADIUS - 1);
+                self.load_row(row, in_row, &mut ring[slot..slot + slot_length]);
+                loaded += 1;
             }
-            self.accumulate(&means, &mut sums);
+            // Tap k of output row `first + g` is input row `first + g + k`.
+            let rows: [&[f64]; GROUP_ROWS] = std::array::from_fn(|row| {
+                let slot = (first + row) % RING * slot_length;
+                &ring[slot..slot + slot_length]
+            });
+            filter_group(simd, &rows, &self.taps, &mut vertical);
+            for filtered in vertical.chunks_exact(slot_length).take(end - first) {
+                for (line, means) in filtered.chunks_exact(stride).zip(means.chunks_exact_mut(out_stride)) {
+                    filter_row(simd, line, &self.taps, means);
+                }
+                self.accumulate(&means, out_row, &mut sums);
+            }
         }
         fold_lanes(sums)
     }
 
     /// Loads input row `row` (in padded rows) into the four maps of a ring slot.
     #[inline(always)]
-    fn load_row(&self, row: usize, slot: &mut [f64]) {
-        let in_row = slot.len() / MAPS;
+    fn load_row(&self, row: usize, in_row: usize, slot: &mut [f64]) {
+        let stride = slot.len() / MAPS;
         let inner = self.prediction.width() * CHANNELS;
         let source = reflect(row as isize - self.padding as isize, self.prediction.height()) * inner;
-        let (x, rest) = slot.split_at_mut(in_row);
-        let (y, rest) = rest.split_at_mut(in_row);
-        let (squares, products) = rest.split_at_mut(in_row);
+        let (x, rest) = slot.split_at_mut(stride);
+        let (y, rest) = rest.split_at_mut(stride);
+        let (squares, products) = rest.split_at_mut(stride);
         let edge = self.padding * CHANNELS;
         self.prediction.load(source, &mut x[edge..edge + inner]);
         self.reference.load(source, &mut y[edge..edge + inner]);
@@ -185,6 +199,12 @@ impl Plan<'_> {
             pad_row(x, self.padding, self.prediction.width());
             pad_row(y, self.padding, self.prediction.width());
         }
+        let (x, y, squares, products) = (
+            &x[..in_row],
+            &y[..in_row],
+            &mut squares[..in_row],
+            &mut products[..in_row],
+        );
         for index in 0..in_row {
             squares[index] = x[index] * x[index] + y[index] * y[index];
             products[index] = x[index] * y[index];
@@ -193,11 +213,12 @@ impl Plan<'_> {
 
     /// Adds the index of one output row to eight running sums.
     #[inline(always)]
-    fn accumulate(&self, means: &[f64], sums: &mut [f64; 8]) {
-        let row = means.len() / MAPS;
-        let (x, rest) = means.split_at(row);
-        let (y, rest) = rest.split_at(row);
-        let (squares, products) = rest.split_at(row);
+    fn accumulate(&self, means: &[f64], row: usize, sums: &mut [f64; 8]) {
+        let stride = means.len() / MAPS;
+        let (x, rest) = means.split_at(stride);
+        let (y, rest) = rest.split_at(stride);
+        let (squares, products) = rest.split_at(stride);
+        let (x, y, squares, products) = (&x[..row], &y[..row], &squares[..row], &products[..row]);
         let index_at = |at: usize| {
             let (mean_product, mean_squares) = (x[at] * y[at], x[at] * x[at] + y[at] * y[at]);
             let covariance = self.factor * (products[at] - mean_product);
@@ -216,15 +237,52 @@ impl Plan<'_> {
     }
 }
 
-/// `out[j] = sum_k taps[k] * rows[k][j]`, taps in order.
+/// The vertical pass for [`GROUP`] output rows at once, so that each input value is loaded once for all of them:
+/// `out[g][j] = sum_k taps[k] * rows[g + k][j]`, taps in order. `out` is `[GROUP, length]`.
 #[inline(always)]
-fn filter(rows: &[&[f64]; TAPS], taps: &[f64; TAPS], out: &mut [f64]) {
+fn filter_group<S: Simd>(simd: S, rows: &[&[f64]; GROUP_ROWS], taps: &[f64; TAPS], out: &mut [f64]) {
+    let length = rows[0].len();
+    let rows: [&[S::f64s]; GROUP_ROWS] = std::array::from_fn(|row| S::as_simd_f64s(&rows[row][..length]).0);
+    let (out0, rest) = out.split_at_mut(length);
+    let (out1, rest) = rest.split_at_mut(length);
+    let (out2, out3) = rest.split_at_mut(length);
+    let out = [out0, out1, out2, out3].map(|out| S::as_mut_simd_f64s(out).0);
+    let taps = taps.map(|tap| simd.splat_f64s(tap));
+    let vectors = rows[0].len();
+    let rows: [&[S::f64s]; GROUP_ROWS] = std::array::from_fn(|row| &rows[row][..vectors]);
+    let [out0, out1, out2, out3] = out.map(|out| &mut out[..vectors]);
+    for at in 0..vectors {
+        let values: [S::f64s; GROUP_ROWS] = std::array::from_fn(|row| rows[row][at]);
+        out0[at] = weighted(simd, &values, 0, &taps);
+        out1[at] = weighted(simd, &values, 1, &taps);
+        out2[at] = weighted(simd, &values, 2, &taps);
+        out3[at] = weighted(simd, &values, 3, &taps);
+    }
+}
+
+/// The eleven values from `first` on, weighted by the taps, taps in order.
+#[inline(always)]
+fn weighted<S: Simd>(simd: S, values: &[S::f64s; GROUP_ROWS], first: usize, taps: &[S::f64s; TAPS]) -> S::f64s {
+    let mut sum = simd.mul_f64s(taps[0], values[first]);
+    for tap in 1..TAPS {
+        sum = simd.mul_add_f64s(taps[tap], values[first + tap], sum);
+    }
+    sum
+}
+
+/// The horizontal pass of one row: `out[j] = sum_k taps[k] * line[j + 3 k]`, taps in order.
+#[inline(always)]
+fn filter_row<S: Simd>(simd: S, line: &[f64], taps: &[f64; TAPS], out: &mut [f64]) {
     let length = out.len();
-    let rows: [&[f64]; TAPS] = std::array::from_fn(|tap| &rows[tap][..length]);
-    for at in 0..length {
-        let mut sum = taps[0] * rows[0][at];
+    let out = S::as_mut_simd_f64s(out).0;
+    let vectors = out.len();
+    let shifted: [&[S::f64s]; TAPS] =
+        std::array::from_fn(|tap| &S::as_simd_f64s(&line[tap * CHANNELS..tap * CHANNELS + length]).0[..vectors]);
+    let taps = taps.map(|tap| simd.splat_f64s(tap));
+    for at in 0..vectors {
+        let mut sum = simd.mul_f64s(taps[0], shifted[0][at]);
         for tap in 1..TAPS {
-            sum = rows[tap][at].mul_add(taps[tap], sum);
+            sum = simd.mul_add_f64s(taps[tap], shifted[tap][at], sum);
         }
         out[at] = sum;
     }
