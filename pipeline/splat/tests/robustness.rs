@@ -1,0 +1,315 @@
+//! No input makes the rasteriser panic or return a value that is not a number; what is dropped is counted.
+
+mod common {
+    pub(crate) mod random;
+    pub(crate) mod room;
+}
+
+use common::{random, room};
+use proptest::prelude::*;
+use rogs_splat::{
+    Camera, Colour, Eligible, Gaussians, Gradients, RasterConfig, Render, RenderGradient, backward, render,
+    render_with_contributions, render_with_tape,
+};
+
+fn finite(render: &Render) -> bool {
+    [
+        &render.rgb,
+        &render.alpha,
+        &render.depth_expected,
+        &render.depth_accumulated,
+        &render.extra,
+    ]
+    .iter()
+    .all(|v| v.iter().all(|x| x.is_finite()))
+}
+
+fn finite_gradients(g: &Gradients) -> bool {
+    [&g.means, &g.quats, &g.scales, &g.opacities, &g.colour, &g.extra]
+        .iter()
+        .all(|v| v.iter().all(|x| x.is_finite()))
+        && g.camera_rotation
+            .iter()
+            .chain(&g.camera_translation)
+            .all(|x| x.is_finite())
+}
+
+/// Renders, differentiates, pools; everything must be finite.
+fn exercise(scene: &Gaussians, camera: &Camera, config: &RasterConfig) -> Render {
+    let image = render(scene, camera, config).unwrap();
+    assert!(finite(&image), "image");
+    let pixels = camera.pixels();
+    let (rgb, depth) = (room::normals(3 * pixels, 1), room::normals(pixels, 2));
+    let (taped, tape) = render_with_tape(scene, camera, config).unwrap();
+    assert_eq!(image, taped);
+    let gradient = RenderGradient {
+        rgb: &rgb,
+        alpha: &depth,
+        depth_expected: &depth,
+        ..Default::default()
+    };
+    assert!(
+        finite_gradients(&backward(scene, config, &tape, &gradient).unwrap()),
+        "gradients"
+    );
+    let (_, sums) = render_with_contributions(scene, camera, config, &Eligible::All).unwrap();
+    assert!(
+        sums.mass()
+            .iter()
+            .chain(&sums.pool(&rgb, 3).unwrap())
+            .all(|v| v.is_finite()),
+        "sums"
+    );
+    image
+}
+
+#[test]
+fn values_that_are_not_numbers_are_dropped_and_counted() {
+    let clean = random::scene(300, 1, None, 2);
+    let camera = random::camera(40, 30);
+    let config = RasterConfig::default();
+    let mut bad = clean.clone();
+    let specials = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
+    for (k, &special) in specials.iter().enumerate() {
+        bad.means[3 * (10 + k) + k] = special;
+        bad.quats[4 * (20 + k) + k] = special;
+        bad.scales[3 * (30 + k) + k] = special;
+        bad.opacities[40 + k] = special;
+        bad.extra[2 * (60 + k)] = special;
+        if let Colour::Rgb(rgb) = &mut bad.colour {
+            rgb[3 * (50 + k) + k] = special;
+        }
+    }
+    bad.quats[4 * 70..4 * 71].fill(0.0);
+    bad.scales[3 * 71] = -0.5;
+    bad.opacities[72] = -0.1;
+    bad.quats[4 * 73..4 * 74].fill(1e-30);
+    bad.scales[3 * 74..3 * 75].fill(3e38);
+    bad.means[3 * 74..3 * 75].copy_from_slice(&[0.0, 0.0, 2.0]);
+    bad.opacities[74] = 0.5;
+    let image = exercise(&bad, &camera, &config);
+    assert_eq!(image.counts.invalid, 18 + 5);
+    // The others are rendered as if the bad ones were not there.
+    let keep: Vec<usize> = (0..300)
+        .filter(|i| !matches!(i, 10..=12 | 20..=22 | 30..=32 | 40..=42 | 50..=52 | 60..=62 | 70..=74))
+        .collect();
+    let pick = |values: &[f32], per: usize| {
+        keep.iter()
+            .flat_map(|&i| values[per * i..per * (i + 1)].to_vec())
+            .collect()
+    };
+    let rest = Gaussians {
+        means: pick(&clean.means, 3),
+        quats: pick(&clean.quats, 4),
+        scales: pick(&clean.scales, 3),
+        opacities: pick(&clean.opacities, 1),
+        colour: Colour::Rgb(pick(clean.colour.values(), 3)),
+        extra: pick(&clean.extra, 2),
+        extra_channels: 2,
+    };
+    assert_eq!(render(&rest, &camera, &config).unwrap().rgb, image.rgb);
+}
+
+#[test]
+fn harmonics_that_are_not_numbers_are_dropped_and_counted() {
+    let mut scene = random::scene(50, 2, Some(2), 0);
+    if let Colour::Sh { coefficients, .. } = &mut scene.colour {
+        coefficients[27 * 7 + 20] = f32::NAN;
+    }
+    assert_eq!(
+        exercise(&scene, &random::camera(30, 20), &RasterConfig::default())
+            .counts
+            .invalid,
+        1
+    );
+}
+
+#[test]
+fn extreme_but_finite_scenes_stay_finite() {
+    let identity = Camera {
+        rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        translation: [0.0; 3],
+        ..random::camera(30, 20)
+    };
+    let values = [0.0, 1e-38, 1e-20, 1e-6, 1.0, 1e4, 1e9, 1e20, 3e38];
+    let mut scene = Gaussians::empty();
+    let mut rgb = Vec::new();
+    for &scale in &values {
+        for &other in &values {
+            for z in [-1.0, 0.0, 1e-3, 0.00100001, 0.5, 99.0, 1e20] {
+                for x in [0.0, 0.3, 1e6, 1e30] {
+                    scene.means.extend([x, -x, z]);
+                    scene.scales.extend([scale, other, 1e-3]);
+                    scene.quats.extend([0.3, scale.min(1e15), -other.min(1e15), 0.1]);
+                    scene.opacities.push(if x == 0.0 { 1.0 } else { 0.6 });
+                    rgb.extend([0.5, 1e6, -3.0]);
+                }
+            }
+        }
+    }
+    scene.colour = Colour::Rgb(rgb);
+    for config in [
+        RasterConfig::default(),
+        RasterConfig {
+            mode: rogs_splat::Mode::Antialiased,
+            eps2d: 0.0,
+            near: 1e-6,
+            far: 1e30,
+            ..RasterConfig::default()
+        },
+    ] {
+        exercise(&scene, &identity, &config);
+    }
+}
+
+#[test]
+fn empty_scenes_and_one_pixel_images_render() {
+    let config = RasterConfig {
+        background: [0.25, 0.5, 0.75],
+        ..RasterConfig::default()
+    };
+    let empty = exercise(&Gaussians::empty(), &random::camera(37, 21), &config);
+    assert!(empty.rgb.chunks(3).all(|p| p == [0.25, 0.5, 0.75]) && empty.alpha.iter().all(|&a| a == 0.0));
+    let one = exercise(&random::scene(500, 3, None, 1), &random::camera(1, 1), &config);
+    assert_eq!(one.rgb.len(), 3);
+    let behind = Gaussians {
+        means: vec![0.0, 0.0, -4.0],
+        quats: vec![1.0, 0.0, 0.0, 0.0],
+        scales: vec![0.1; 3],
+        opacities: vec![1.0],
+        colour: Colour::Rgb(vec![1.0; 3]),
+        extra: Vec::new(),
+        extra_channels: 0,
+    };
+    let image = exercise(&behind, &random::camera(20, 20), &config);
+    assert_eq!((image.counts.visible, image.counts.invalid), (0, 0));
+}
+
+#[test]
+fn a_million_gaussians_on_one_pixel_render() {
+    let n = 1_000_000;
+    let scene = Gaussians {
+        means: (0..n)
+            .flat_map(|i| [0.0, 0.0, 2.0 + (i % 1000) as f32 * 1e-3])
+            .collect(),
+        quats: (0..n).flat_map(|_| [1.0, 0.0, 0.0, 0.0]).collect(),
+        scales: vec![1e-4; 3 * n],
+        opacities: vec![0.005; n],
+        colour: Colour::Rgb(vec![0.5; 3 * n]),
+        extra: Vec::new(),
+        extra_channels: 0,
+    };
+    let camera = Camera {
+        rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        translation: [0.0; 3],
+        cx: 10.5,
+        cy: 10.5,
+        ..random::camera(21, 21)
+    };
+    let image = exercise(&scene, &camera, &RasterConfig::default());
+    let centre = 10 * 21 + 10;
+    assert!(image.alpha[centre] > 0.9998, "{}", image.alpha[centre]);
+    assert!((image.rgb[3 * centre] / image.alpha[centre] - 0.5).abs() < 1e-3);
+}
+
+#[test]
+fn senseless_calls_are_errors() {
+    let scene = random::scene(10, 4, None, 0);
+    let camera = random::camera(20, 20);
+    let config = RasterConfig::default();
+    let fails = |scene: &Gaussians, camera: &Camera, config: &RasterConfig| {
+        render(scene, camera, config).unwrap_err().to_string()
+    };
+    let short = Gaussians {
+        scales: vec![1.0; 29],
+        ..scene.clone()
+    };
+    assert!(fails(&short, &camera, &config).contains("scales has 29 values, expected 30"));
+    let high = Gaussians {
+        colour: Colour::Sh {
+            degree: 4,
+            coefficients: Vec::new(),
+        },
+        ..scene.clone()
+    };
+    assert!(fails(&high, &camera, &config).contains("degree"));
+    assert!(fails(&scene, &Camera { width: 0, ..camera }, &config).contains("image sides"));
+    assert!(fails(&scene, &Camera { fx: f64::NAN, ..camera }, &config).contains("focal"));
+    assert!(
+        fails(
+            &scene,
+            &Camera {
+                translation: [f64::INFINITY, 0.0, 0.0],
+                ..camera
+            },
+            &config
+        )
+        .contains("finite")
+    );
+    assert!(
+        fails(
+            &scene,
+            &camera,
+            &RasterConfig {
+                tile_size: 12,
+                ..config
+            }
+        )
+        .contains("tile_size")
+    );
+    assert!(
+        fails(
+            &scene,
+            &camera,
+            &RasterConfig {
+                eps2d: f32::NAN,
+                ..config
+            }
+        )
+        .contains("eps2d")
+    );
+    let (_, tape) = render_with_tape(&scene, &camera, &config).unwrap();
+    let wrong = RenderGradient {
+        rgb: &[1.0; 5],
+        ..Default::default()
+    };
+    assert!(
+        backward(&scene, &config, &tape, &wrong)
+            .unwrap_err()
+            .to_string()
+            .contains("gradient of rgb has 5 values")
+    );
+    assert!(backward(&short, &config, &tape, &RenderGradient::default()).is_err());
+}
+
+/// Any f32 bit pattern, ordinary numbers more often.
+fn number() -> impl Strategy<Value = f32> {
+    prop_oneof![3 => -4.0_f32..4.0, 1 => any::<u32>().prop_map(f32::from_bits)]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(200) })]
+
+    #[test]
+    fn arbitrary_gaussians_never_panic_nor_poison_the_image(
+        values in proptest::collection::vec(number(), 15 * 12),
+        size in (1_u32..40, 1_u32..40),
+        harmonics in any::<bool>(),
+    ) {
+        let n = 12;
+        let take = |from: usize, per: usize| values[from * n..(from + per) * n].to_vec();
+        let scene = Gaussians {
+            means: take(0, 3),
+            quats: take(3, 4),
+            scales: take(7, 3).iter().map(|s| s.abs()).collect(),
+            opacities: take(10, 1).iter().map(|o| o.abs() / 4.0).collect(),
+            colour: if harmonics { Colour::Sh { degree: 0, coefficients: take(11, 3) } } else { Colour::Rgb(take(11, 3)) },
+            extra: take(14, 1),
+            extra_channels: 1,
+        };
+        // Huge colours are numbers too, but their sums may leave the range of f32; keep those out.
+        prop_assume!(scene.colour.values().iter().chain(&scene.extra).all(|v| !v.is_finite() || v.abs() < 1e30));
+        let camera = random::camera(size.0, size.1);
+        exercise(&scene, &camera, &RasterConfig::default());
+    }
+}
