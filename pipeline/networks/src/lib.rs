@@ -7,7 +7,9 @@
 //!
 //! Lengths inside the networks are internal units, 3.5 per metre.
 
+pub mod checkpoint;
 pub mod error;
+mod kernels;
 pub mod lpips;
 pub mod ops;
 pub mod parameters;

@@ -3,10 +3,12 @@
 mod support;
 
 use burn::tensor::{Device, Tensor};
-use rogs_networks::parameters::from_host;
+use rogs_networks::ops::Linear;
+use rogs_networks::parameters::{Parameters, from_host};
+use rogs_networks::stage1::adapter::{LatentAdapter, to_token_cells};
 use rogs_networks::stage1::geometry::encode_time;
 use rogs_networks::stage1::positions::{RotaryTable, head_positions, resample_positions, resampling_matrix};
-use rogs_networks::stage1::{Attention, HeadKind, decode};
+use rogs_networks::stage1::{Attention, HeadKind, Stage1, decode};
 use support::{Golden, close, host, tiny};
 
 #[test]
@@ -262,7 +264,7 @@ fn head_motion_head_by_stages() {
     ) else {
         return;
     };
-    let encoded = network.encode(support_frames(&forward, &device)).unwrap();
+    let encoded = network.encode(&support_frames(&forward, &device)).unwrap();
     let head = network.head(HeadKind::Motion).unwrap();
     close(
         "time_embed.t1",
@@ -282,7 +284,7 @@ fn head_depth_and_splat_by_stages() {
     let (Some(forward), Some(network)) = (Golden::open("full_forward"), tiny(&device)) else {
         return;
     };
-    let encoded = network.encode(support_frames(&forward, &device)).unwrap();
+    let encoded = network.encode(&support_frames(&forward, &device)).unwrap();
     for (kind, name, tolerance) in [
         (HeadKind::Depth, "head_depth_head", 1e-5),
         (HeadKind::Splat, "head_splat_head", 2e-5),
@@ -314,7 +316,7 @@ fn head_motion_splat_by_stages() {
     ) else {
         return;
     };
-    let encoded = network.encode(support_frames(&forward, &device)).unwrap();
+    let encoded = network.encode(&support_frames(&forward, &device)).unwrap();
     let head = network.head(HeadKind::MotionSplat).unwrap();
     close(
         "time_embed.t1",
@@ -372,4 +374,109 @@ fn support_frames(golden: &Golden, device: &Device) -> rogs_networks::stage1::So
         times: golden.values("in.input_timesteps").to_vec(),
         attention: Attention::Joint,
     }
+}
+
+#[test]
+fn project_latent_adapter() {
+    let device = Device::flex();
+    let Some(golden) = Golden::open("project_latent_adapter") else {
+        return;
+    };
+    let parameters = golden.parameters("adapter.", &device);
+    let adapter = LatentAdapter::new(parameters.scope("adapter"), 64, 4);
+    let latent = golden.tensor::<4>("latent", [4, 48, 4, 6], &device);
+    close(
+        "patch",
+        &host(adapter.patches(latent.clone()).unwrap()),
+        golden.values("patch"),
+        1e-5,
+    );
+    close(
+        "tokens",
+        &host(adapter.forward(latent.clone()).unwrap()),
+        golden.values("tokens"),
+        1e-5,
+    );
+    let repeated = host(to_token_cells(latent.clone(), [4, 6]).unwrap());
+    assert_eq!(
+        (repeated.len(), repeated[0], repeated[13]),
+        (4 * 48 * 8 * 12, host(latent.clone())[0], host(latent.clone())[0])
+    );
+    assert!(to_token_cells(latent, [5, 6]).is_err());
+}
+
+#[test]
+fn project_lora() {
+    let device = Device::flex().autodiff();
+    let (Some(golden), Some(network)) = (Golden::open("project_lora"), tiny(&device)) else {
+        return;
+    };
+    let name = "backbone.backbone.frame_blocks.0.attn";
+    let mut parameters = network.parameters;
+    for (layer, part) in [("qkv", "A"), ("qkv", "B"), ("proj", "A"), ("proj", "B")] {
+        let source = if layer == "qkv" {
+            part.to_owned()
+        } else {
+            format!("block.proj_{part}")
+        };
+        let full = format!("{name}.{layer}.lora_{part}.weight");
+        parameters
+            .insert(&full, golden.shape(&source), golden.values(&source).to_vec())
+            .unwrap();
+        let leaf = parameters.memory_mut().get_mut(&full).unwrap();
+        leaf.values = leaf.values.clone().require_grad();
+    }
+    let layer = Linear::load(&parameters.scope(&format!("{name}.qkv")), 192, 64).unwrap();
+    let y = layer.forward(golden.tensor::<2>("x", [5, 64], &device));
+    close("y", &host(y.clone()), golden.values("y"), 1e-5);
+    let grads = (y * golden.tensor::<2>("loss_weight", [5, 192], &device))
+        .mean()
+        .backward();
+    for part in ["A", "B"] {
+        let leaf = &parameters.memory()[&format!("{name}.qkv.lora_{part}.weight")].values;
+        close(
+            &format!("grad_{part}"),
+            &host(leaf.grad(&grads).unwrap()),
+            golden.values(&format!("grad_{part}")),
+            1e-5,
+        );
+    }
+    // The block, with the updates trained beside the weights and folded into them.
+    let network = Stage1::new(support::tiny_config(), parameters).unwrap();
+    let run = |network: &Stage1, device: &Device| {
+        let tokens = golden.tensor::<3>("block.tokens_in", [4, 13, 64], device);
+        let rotary = network.aggregator().rotary([2, 3]);
+        host(
+            network
+                .aggregator()
+                .block("frame_blocks", 0)
+                .unwrap()
+                .forward(tokens, Some(&rotary)),
+        )
+    };
+    close(
+        "block.out beside",
+        &run(&network, &device),
+        golden.values("block.out"),
+        1e-5,
+    );
+    let folded = tiny_with(&network, &Device::flex());
+    close(
+        "block.out folded",
+        &run(&folded, &Device::flex()),
+        golden.values("block.out"),
+        1e-5,
+    );
+}
+
+/// The same parameters on another device.
+fn tiny_with(network: &Stage1, device: &Device) -> Stage1 {
+    let mut parameters = Parameters::new(device);
+    for name in network.parameters.names() {
+        let shape = network.parameters.shape(&name).unwrap().to_vec();
+        parameters
+            .insert(&name, &shape, network.parameters.host(&name).unwrap())
+            .unwrap();
+    }
+    Stage1::new(network.config.clone(), parameters).unwrap()
 }

@@ -1,37 +1,79 @@
 //! The tensor operations of the networks.
 
+use std::sync::{Arc, OnceLock};
+
 use burn::tensor::module;
 use burn::tensor::ops::{AttentionModuleOptions, ConvOptions, InterpolateMode, InterpolateOptions};
 use burn::tensor::{Tensor, activation};
 
 use crate::Result;
+use crate::kernels::{self, After, Conv3x3, HeadNorm};
 use crate::parameters::Scope;
 
-/// y = x W^T + b with the weight as PyTorch stores it.
+/// alpha / rank of low-rank updates: 16 / 32 (`stage1-network.md` section 9). The ratio is fixed, whatever the rank.
+pub const LORA_SCALE: f64 = 0.5;
+
+/// y = x W^T + b with the weight as PyTorch stores it, plus a low-rank update where there is one.
 #[derive(Debug, Clone)]
 pub struct Linear {
     /// `[out, in]`
     pub weight: Tensor<2>,
     /// `[out]`
     pub bias: Option<Tensor<1>>,
+    /// A `[rank, in]` and B `[out, rank]` of an update that is being trained.
+    pub update: Option<[Tensor<2>; 2]>,
 }
 
 impl Linear {
-    /// Reads `weight` and `bias`, and folds a low-rank update `lora_A`, `lora_B` in when the scope has one.
+    /// Reads `weight` and `bias`, and the low-rank update `lora_A`, `lora_B` when the scope has one: it is folded into the
+    /// weight unless it records gradients.
     ///
     /// # Errors
     /// When a tensor is missing or has another shape.
     pub fn load(scope: &Scope<'_>, outputs: usize, inputs: usize) -> Result<Self> {
         let weight = scope.get("weight", [outputs, inputs])?;
         let bias = Some(scope.get("bias", [outputs])?);
-        Ok(Self { weight, bias })
+        let rank = scope.shape("lora_A.weight").and_then(|shape| shape.first().copied());
+        let Some(rank) = rank else {
+            return Ok(Self {
+                weight,
+                bias,
+                update: None,
+            });
+        };
+        let update = [
+            scope.get("lora_A.weight", [rank, inputs])?,
+            scope.get("lora_B.weight", [outputs, rank])?,
+        ];
+        if update.iter().any(|part| part.is_autodiff()) {
+            return Ok(Self {
+                weight,
+                bias,
+                update: Some(update),
+            });
+        }
+        Ok(Self {
+            weight: fold(weight, update),
+            bias,
+            update: None,
+        })
     }
 
     /// Applies the layer to the last dimension. `[..., in] -> [..., out]`
     #[must_use]
     pub fn forward<const D: usize>(&self, input: Tensor<D>) -> Tensor<D> {
-        linear(input, self.weight.clone(), self.bias.clone())
+        let plain = linear(input.clone(), self.weight.clone(), self.bias.clone());
+        match &self.update {
+            Some([a, b]) => plain + linear(linear(input, a.clone(), None), b.clone(), None) * LORA_SCALE,
+            None => plain,
+        }
     }
+}
+
+/// W + (alpha / rank) B A.
+#[must_use]
+pub fn fold(weight: Tensor<2>, [a, b]: [Tensor<2>; 2]) -> Tensor<2> {
+    weight + b.matmul(a) * LORA_SCALE
 }
 
 /// y = x W^T + b on the last dimension, `weight [out, in]`.
@@ -70,10 +112,36 @@ impl LayerNorm {
         })
     }
 
+    pub(crate) fn host(&self) -> HostNorm {
+        HostNorm {
+            weight: values(&self.weight),
+            bias: values(&self.bias),
+            epsilon: self.epsilon as f32,
+        }
+    }
+
     /// Applies the layer.
     #[must_use]
     pub fn forward<const D: usize>(&self, input: Tensor<D>) -> Tensor<D> {
         module::layer_norm(input, self.weight.clone(), Some(self.bias.clone()), self.epsilon)
+    }
+}
+
+/// The numbers of a [`LayerNorm`] on the host.
+pub(crate) struct HostNorm {
+    weight: Vec<f32>,
+    bias: Vec<f32>,
+    epsilon: f32,
+}
+
+impl HostNorm {
+    /// The norm as the attention kernel takes it.
+    pub(crate) fn borrow(&self) -> HeadNorm<'_> {
+        HeadNorm {
+            weight: &self.weight,
+            bias: &self.bias,
+            epsilon: self.epsilon,
+        }
     }
 }
 
@@ -97,6 +165,11 @@ pub fn attention(query: Tensor<4>, key: Tensor<4>, value: Tensor<4>) -> Tensor<4
     module::attention(query, key, value, None, None, AttentionModuleOptions::default())
 }
 
+/// The values of a small tensor on the CPU.
+pub(crate) fn values<const D: usize>(tensor: &Tensor<D>) -> Vec<f32> {
+    tensor.to_data().try_into_vec::<f32>().unwrap_or_default()
+}
+
 /// 2-D convolution weights.
 #[derive(Debug, Clone)]
 pub struct Conv {
@@ -106,6 +179,8 @@ pub struct Conv {
     pub bias: Option<Tensor<1>>,
     stride: usize,
     padding: usize,
+    /// The weights as the CPU kernel takes them, made when first needed.
+    packed: Arc<OnceLock<Conv3x3>>,
 }
 
 impl Conv {
@@ -137,14 +212,71 @@ impl Conv {
             bias: None,
             stride,
             padding: kernel / 2,
+            packed: Arc::default(),
         })
     }
 
     /// Applies the convolution. `[B, in, H, W] -> [B, out, H', W']`
     #[must_use]
     pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
+        match self.kernel(&input) {
+            Some(_) => self.run(input.clone(), input, false, After::Nothing, false),
+            None => self.plain(input),
+        }
+    }
+
+    /// relu(conv(relu(x))).
+    #[must_use]
+    pub fn forward_rectified(&self, input: Tensor<4>) -> Tensor<4> {
+        match self.kernel(&input) {
+            Some(_) => self.run(input.clone(), input, true, After::Relu, false),
+            None => relu(self.plain(relu(input))),
+        }
+    }
+
+    /// conv(x) + relu(r), for a convolution that keeps the size.
+    #[must_use]
+    pub fn forward_onto(&self, input: Tensor<4>, residual: Tensor<4>) -> Tensor<4> {
+        match self.kernel(&input) {
+            Some(_) => self.run(input, residual, false, After::Nothing, true),
+            None => self.plain(input) + relu(residual),
+        }
+    }
+
+    fn plain(&self, input: Tensor<4>) -> Tensor<4> {
         let options = ConvOptions::new([self.stride; 2], [self.padding; 2], [1, 1], 1);
         module::conv2d(input, self.weight.clone(), self.bias.clone(), options)
+    }
+
+    /// The packed weights, if this convolution on this input has a kernel.
+    fn kernel(&self, input: &Tensor<4>) -> Option<&Conv3x3> {
+        let [outputs, inputs, size, _] = self.weight.dims();
+        if size != 3 || self.stride != 1 || !kernels::usable(input) || !kernels::usable(&self.weight) {
+            return None;
+        }
+        let bias = || self.bias.as_ref().map(values).unwrap_or_default();
+        Some(
+            self.packed
+                .get_or_init(|| Conv3x3::new(&values(&self.weight), &bias(), outputs, inputs)),
+        )
+    }
+
+    /// Runs the kernel, whose weights are packed.
+    fn run(&self, input: Tensor<4>, residual: Tensor<4>, rectify: bool, after: After, add: bool) -> Tensor<4> {
+        let [images, _, height, width] = input.dims();
+        let packed = self.packed.clone();
+        kernels::read(
+            input,
+            residual,
+            [images, self.weight.dims()[0], height, width],
+            move |input, residual| {
+                let residual = add.then_some(residual);
+                packed
+                    .get()
+                    .map(|conv| conv.run(input, [height, width], rectify, after, residual))
+                    .unwrap_or_default()
+            },
+        )
     }
 }
 

@@ -4,7 +4,8 @@ use burn::tensor::Tensor;
 
 use super::positions::Rotary;
 use crate::Result;
-use crate::ops::{self, LayerNorm, Linear};
+use crate::kernels::{self, PackedAttention};
+use crate::ops::{self, HostNorm, LayerNorm, Linear};
 use crate::parameters::Scope;
 
 /// What distinguishes the blocks of the three parts of the network.
@@ -90,6 +91,9 @@ impl Block {
     #[must_use]
     pub fn forward(&self, input: Tensor<3>, rotary: Option<&Rotary>) -> Tensor<3> {
         let middle = self.attend(input, rotary);
+        if self.has_kernels(&middle) {
+            return self.widen_and_narrow(middle);
+        }
         let branch = self
             .narrow
             .forward(ops::gelu(self.widen.forward(self.norm2.forward(middle.clone()))));
@@ -99,6 +103,9 @@ impl Block {
     /// The first half: x + ls1 * attention(norm1(x)). `[B, T, C] -> [B, T, C]`
     #[must_use]
     pub fn attend(&self, input: Tensor<3>, rotary: Option<&Rotary>) -> Tensor<3> {
+        if self.has_kernels(&input) {
+            return self.attend_packed(input, rotary);
+        }
         let [query, key, value] = self.queries_keys_values(input.clone(), rotary);
         let [batch, heads, tokens, size] = query.dims();
         let mixed = ops::attention(query, key, value)
@@ -124,6 +131,75 @@ impl Block {
             key = rotary.apply(key);
         }
         [query, key, value]
+    }
+
+    fn has_kernels(&self, input: &Tensor<3>) -> bool {
+        kernels::usable(input) && kernels::usable(&self.qkv.weight) && kernels::usable(&self.widen.weight)
+    }
+
+    /// [`Self::attend`] without gradients on the CPU: norms, rotary embedding and biases inside the attention kernel.
+    fn attend_packed(&self, input: Tensor<3>, rotary: Option<&Rotary>) -> Tensor<3> {
+        let [batch, tokens, width] = input.dims();
+        let packed = ops::linear(self.norm1.forward(input.clone()), self.qkv.weight.clone(), None);
+        let (heads, size) = (self.heads, width / self.heads);
+        let norms = self
+            .qk_norms
+            .as_ref()
+            .map(|norms| norms.each_ref().map(LayerNorm::host));
+        let table = rotary.map(|rotary| rotary.table().clone());
+        let bias = self.qkv.bias.as_ref().map_or_else(|| vec![0.0; 3 * width], ops::values);
+        let mixed: Tensor<3> = kernels::read(
+            packed,
+            self.projection.weight.clone(),
+            [batch, tokens, width],
+            move |packed, _| {
+                PackedAttention {
+                    packed,
+                    bias: &bias,
+                    tokens,
+                    heads,
+                    size,
+                    norms: norms.as_ref().map(|norms| norms.each_ref().map(HostNorm::borrow)),
+                    rotary: table
+                        .as_ref()
+                        .map(|table| [table.cosine.as_slice(), table.sine.as_slice()]),
+                }
+                .run()
+            },
+        );
+        let branch = ops::linear(mixed, self.projection.weight.clone(), None);
+        self.add_branch(branch, &self.projection, 0, input)
+    }
+
+    /// The second half of the block without gradients on the CPU.
+    fn widen_and_narrow(&self, input: Tensor<3>) -> Tensor<3> {
+        let wide = ops::linear(self.norm2.forward(input.clone()), self.widen.weight.clone(), None);
+        let (shape, bias) = (wide.dims(), self.widen.bias.as_ref().map(ops::values));
+        let wide: Tensor<3> = kernels::update(wide, self.narrow.weight.clone(), shape, move |mut values, _| {
+            kernels::bias_gelu(&mut values, bias.as_deref().unwrap_or(&vec![0.0; shape[2]]));
+            values
+        });
+        let branch = ops::linear(wide, self.narrow.weight.clone(), None);
+        self.add_branch(branch, &self.narrow, 1, input)
+    }
+
+    /// residual + scale * (branch + bias of the layer that made it).
+    fn add_branch(&self, branch: Tensor<3>, layer: &Linear, index: usize, residual: Tensor<3>) -> Tensor<3> {
+        let (shape, bias) = (branch.dims(), layer.bias.as_ref().map(ops::values));
+        let scale = self
+            .scales
+            .as_ref()
+            .map(|scales| ops::values(&scales[index]))
+            .unwrap_or_default();
+        kernels::update(branch, residual, shape, move |mut values, residual| {
+            kernels::bias_scale_add(
+                &mut values,
+                bias.as_deref().unwrap_or(&vec![0.0; shape[2]]),
+                &scale,
+                residual,
+            );
+            values
+        })
     }
 
     fn scaled(&self, branch: Tensor<3>, index: usize) -> Tensor<3> {

@@ -1,11 +1,14 @@
 //! The dense heads: four tapped token maps to one map at image size (`stage1-network.md` section 6).
 
+use std::sync::{Arc, OnceLock};
+
 use burn::tensor::Tensor;
 
 use super::config::{HeadKind, Stage1Config};
 use super::geometry::encode_time;
 use super::positions::head_positions;
 use crate::Result;
+use crate::kernels::{self, After, Conv3x3, DenseTail};
 use crate::ops::{self, Conv, Linear};
 use crate::parameters::{Scope, from_host};
 
@@ -16,6 +19,14 @@ pub(crate) const TAP_EPSILON: f64 = 1e-5;
 
 /// Sees the stages of a head by name; tests compare them with reference values.
 pub type Observer<'o> = &'o mut dyn FnMut(&str, &Tensor<4>);
+/// An observer, if there is one.
+type Watch<'w, 'o> = &'w mut Option<Observer<'o>>;
+
+fn show(watch: Watch<'_, '_>, name: impl FnOnce() -> String, map: &Tensor<4>) {
+    if let Some(observe) = watch {
+        observe(&name(), map);
+    }
+}
 
 /// conv2(relu(conv1(relu(x)))) + relu(x).
 #[derive(Debug, Clone)]
@@ -35,8 +46,8 @@ impl ResidualUnit {
 
     /// The skip adds relu(x), not x: the released network was trained with an in-place activation.
     fn forward(&self, input: Tensor<4>) -> Tensor<4> {
-        let rectified = ops::relu(input);
-        self.conv2.forward(ops::relu(self.conv1.forward(rectified.clone()))) + rectified
+        self.conv2
+            .forward_onto(self.conv1.forward_rectified(input.clone()), input)
     }
 }
 
@@ -73,6 +84,8 @@ impl Fusion {
 struct Tail {
     first: Conv,
     second: Conv,
+    /// The weights as the CPU kernel takes them for one image size, made when first needed.
+    packed: Arc<OnceLock<([usize; 2], DenseTail)>>,
 }
 
 impl Tail {
@@ -81,11 +94,69 @@ impl Tail {
         Ok(Self {
             first,
             second: Conv::load(&scope.child("2"), [outputs, hidden], 1, 1)?,
+            packed: Arc::default(),
         })
     }
 
     fn forward(&self, input: Tensor<4>) -> Tensor<4> {
         self.second.forward(ops::relu(self.first.forward(input)))
+    }
+
+    /// Resizes the input, adds position maps, and applies the convolutions, in one pass where there is a kernel.
+    fn forward_resized(
+        &self,
+        input: Tensor<4>,
+        size: [usize; 2],
+        positions: impl Fn() -> Option<Tensor<4>>,
+    ) -> Option<Tensor<4>> {
+        let (weight, head) = (&self.first.weight, &self.second.weight);
+        if !kernels::usable(&input) || !kernels::usable(weight) || !kernels::usable(head) {
+            return None;
+        }
+        let [images, inputs, rows, columns] = input.dims();
+        let (outputs, hidden) = (head.dims()[0], head.dims()[1]);
+        self.packed.get_or_init(|| {
+            let bias = self.first.bias.as_ref().map(ops::values).unwrap_or_default();
+            let first = Conv3x3::new(&ops::values(weight), &[], hidden, inputs);
+            let mut map = match positions() {
+                Some(positions) => first.run(&ops::values(&positions), size, false, After::Nothing, None),
+                None => vec![0.0; hidden * size[0] * size[1]],
+            };
+            for (plane, bias) in map.chunks_exact_mut(size[0] * size[1]).zip(bias) {
+                plane.iter_mut().for_each(|value| *value += bias);
+            }
+            let bias = self
+                .second
+                .bias
+                .as_ref()
+                .map_or_else(|| vec![0.0; outputs], ops::values);
+            (
+                size,
+                DenseTail {
+                    first,
+                    map,
+                    second: ops::values(head),
+                    bias,
+                    inputs,
+                },
+            )
+        });
+        let packed = self.packed.clone();
+        if packed.get().is_none_or(|(prepared, _)| *prepared != size) {
+            return None;
+        }
+        let unused = head.clone();
+        Some(kernels::read(
+            input,
+            unused,
+            [images, outputs, size[0], size[1]],
+            move |input, _| {
+                packed
+                    .get()
+                    .map(|(_, tail)| tail.run(input, [rows, columns], size))
+                    .unwrap_or_default()
+            },
+        ))
     }
 }
 
@@ -135,6 +206,7 @@ impl DenseHead {
             Ok(Linear {
                 weight,
                 bias: Some(scope.get("bias", [channels[level]])?),
+                update: None,
             })
         };
         let enlarge = |level: usize, kernel: usize| -> Result<(Tensor<4>, Tensor<1>)> {
@@ -188,7 +260,7 @@ impl DenseHead {
             scale = scale * gain.clone();
             offset = offset * gain + modulation.narrow(0, inputs, inputs);
         }
-        Projections(self.projections.clone().map(|Linear { weight, bias }| {
+        Projections(self.projections.clone().map(|Linear { weight, bias, .. }| {
             let outputs = weight.dims()[0];
             let shift = weight
                 .clone()
@@ -197,6 +269,7 @@ impl DenseHead {
             Linear {
                 weight: weight * scale.clone().unsqueeze(),
                 bias: bias.map(|bias| bias + shift),
+                update: None,
             }
         }))
     }
@@ -221,7 +294,7 @@ impl DenseHead {
         grid: [usize; 2],
         size: [usize; 2],
     ) -> Tensor<4> {
-        self.forward_observed(projections, taps, grid, size, &mut |_, _| {})
+        self.run(projections, taps, grid, size, &mut None)
     }
 
     /// The same, showing every stage to an observer.
@@ -234,42 +307,63 @@ impl DenseHead {
         size: [usize; 2],
         observe: Observer<'_>,
     ) -> Tensor<4> {
+        self.run(projections, taps, grid, size, &mut Some(observe))
+    }
+
+    fn run(
+        &self,
+        projections: &Projections,
+        taps: &[Tensor<3>; 4],
+        grid: [usize; 2],
+        size: [usize; 2],
+        watch: Watch<'_, '_>,
+    ) -> Tensor<4> {
         let levels: [Tensor<4>; 4] = std::array::from_fn(|level| {
             let map = self.level(
                 level,
                 projections.0[level].forward(taps[level].clone()),
                 grid,
                 size,
-                observe,
+                watch,
             );
             let map = self.reduce[level].forward(map);
-            observe(&format!("layer{}_rn", level + 1), &map);
+            show(watch, || format!("layer{}_rn", level + 1), &map);
             map
         });
         let sizes = levels.each_ref().map(|map| [map.dims()[2], map.dims()[3]]);
         let targets = [[2 * sizes[0][0], 2 * sizes[0][1]], sizes[0], sizes[1], sizes[2]];
-        let mut coarse = None;
-        for (level, map) in levels.into_iter().enumerate().rev() {
-            let fused = self.fuse[level].forward(coarse, map, targets[level]);
-            observe(&format!("refinenet{}", level + 1), &fused);
-            coarse = Some(fused);
+        let [finest, fine, middle, coarse] = levels;
+        let mut fused = self.fuse[3].forward(None, coarse, targets[3]);
+        show(watch, || "refinenet4".into(), &fused);
+        for (level, map) in [(2, middle), (1, fine), (0, finest)] {
+            fused = self.fuse[level].forward(Some(fused), map, targets[level]);
+            show(watch, || format!("refinenet{}", level + 1), &fused);
         }
-        let Some(fused) = coarse else {
-            unreachable!("a head has four levels")
-        };
         let narrowed = self.narrow.forward(fused);
-        observe("output_conv1", &narrowed);
-        let enlarged = ops::resize(narrowed, size) + self.positions(self.features / 2, size, size);
-        observe("fused_upsampled_posembed", &enlarged);
+        show(watch, || "output_conv1".into(), &narrowed);
+        let positions = || self.positions(self.features / 2, size, size);
+        if watch.is_none()
+            && let Some(output) = self.tail.forward_resized(narrowed.clone(), size, || Some(positions()))
+        {
+            return output;
+        }
+        let enlarged = ops::resize(narrowed, size) + positions();
+        show(watch, || "fused_upsampled_posembed".into(), &enlarged);
         let output = self.tail.forward(enlarged);
-        observe("output_conv2", &output);
+        show(watch, || "output_conv2".into(), &output);
         output
     }
 
     /// The shortcut on its full-resolution input; `None` for a head without one. `[S, c, H, W] -> [S, channels, H, W]`
     #[must_use]
     pub fn shortcut(&self, input: Tensor<4>) -> Option<Tensor<4>> {
-        self.shortcut.as_ref().map(|shortcut| shortcut.forward(input))
+        let shortcut = self.shortcut.as_ref()?;
+        let size = [input.dims()[2], input.dims()[3]];
+        Some(
+            shortcut
+                .forward_resized(input.clone(), size, || None)
+                .unwrap_or_else(|| shortcut.forward(input)),
+        )
     }
 
     /// Which head this is.
@@ -285,11 +379,11 @@ impl DenseHead {
         tokens: Tensor<3>,
         [rows, columns]: [usize; 2],
         size: [usize; 2],
-        observe: Observer<'_>,
+        watch: Watch<'_, '_>,
     ) -> Tensor<4> {
         let [frames, count, channels] = tokens.dims();
         let map = tokens.swap_dims(1, 2).reshape([frames, channels, rows, columns]);
-        observe(&format!("project{level}"), &map);
+        show(watch, || format!("project{level}"), &map);
         let map = map + self.positions(channels, [rows, columns], size);
         let resized = match level {
             0 | 1 => {
@@ -308,7 +402,7 @@ impl DenseHead {
             3 => self.shrink.forward(map),
             _ => map,
         };
-        observe(&format!("resize{level}"), &resized);
+        show(watch, || format!("resize{level}"), &resized);
         resized
     }
 

@@ -1,6 +1,7 @@
 //! Every parameter of a configuration: name, shape and initial values, in the order of the released checkpoint.
 
 use super::config::{HeadKind, POSE_NUMBERS, SPLAT_CHANNELS, Stage1Config};
+use crate::parameters::ParameterSource;
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 
 /// How a parameter starts when no checkpoint gives it (`stage1-network.md`, appendix).
@@ -49,21 +50,54 @@ impl ParameterSpec {
 #[must_use]
 pub fn released(config: &Stage1Config) -> Vec<ParameterSpec> {
     let mut list = List::default();
-    let Stage1Config { width, patch, registers, .. } = *config;
-    list.filled("backbone.plucker_embed.net", &[width, 6, 1, patch, patch], Initial::Constant(0.0));
+    let Stage1Config {
+        width,
+        patch,
+        registers,
+        ..
+    } = *config;
+    list.filled(
+        "backbone.plucker_embed.net",
+        &[width, 6, 1, patch, patch],
+        Initial::Constant(0.0),
+    );
     list.filled("backbone.plucker_ln", &[width], Initial::Constant(0.0));
     let side = config.position_grid;
-    list.add("backbone.encoder.cls_token".into(), &[1, 1, width], Initial::Normal { std: 1e-6 });
-    list.add("backbone.encoder.pos_embed".into(), &[1, 1 + side * side, width], Initial::Normal { std: 0.02 });
-    list.add("backbone.encoder.register_tokens".into(), &[1, registers, width], Initial::Normal { std: 1e-6 });
-    list.add("backbone.encoder.mask_token".into(), &[1, width], Initial::Constant(0.0));
+    list.add(
+        "backbone.encoder.cls_token".into(),
+        &[1, 1, width],
+        Initial::Normal { std: 1e-6 },
+    );
+    list.add(
+        "backbone.encoder.pos_embed".into(),
+        &[1, 1 + side * side, width],
+        Initial::Normal { std: 0.02 },
+    );
+    list.add(
+        "backbone.encoder.register_tokens".into(),
+        &[1, registers, width],
+        Initial::Normal { std: 1e-6 },
+    );
+    list.add(
+        "backbone.encoder.mask_token".into(),
+        &[1, width],
+        Initial::Constant(0.0),
+    );
     list.layer("backbone.encoder.patch_embed.proj", &[width, 3, patch, patch]);
     for index in 0..config.encoder_blocks {
         list.block(&format!("backbone.encoder.blocks.{index}"), config, true);
     }
     list.norm("backbone.encoder.norm", width);
-    list.add("backbone.backbone.camera_token".into(), &[1, 2, 1, width], Initial::Normal { std: 1e-6 });
-    list.add("backbone.backbone.register_token".into(), &[1, 2, registers, width], Initial::Normal { std: 1e-6 });
+    list.add(
+        "backbone.backbone.camera_token".into(),
+        &[1, 2, 1, width],
+        Initial::Normal { std: 1e-6 },
+    );
+    list.add(
+        "backbone.backbone.register_token".into(),
+        &[1, 2, registers, width],
+        Initial::Normal { std: 1e-6 },
+    );
     for kind in ["frame_blocks", "global_blocks"] {
         for index in 0..config.pairs {
             list.block(&format!("backbone.backbone.{kind}.{index}"), config, false);
@@ -97,12 +131,28 @@ pub fn lora(config: &Stage1Config, rank: usize) -> Vec<ParameterSpec> {
         for index in 0..config.pairs {
             for (layer, outputs) in [("qkv", 3 * width), ("proj", width)] {
                 let name = format!("backbone.backbone.{kind}.{index}.attn.{layer}");
-                list.add(format!("{name}.lora_A.weight"), &[rank, width], Initial::Uniform { fan_in: width });
-                list.add(format!("{name}.lora_B.weight"), &[outputs, rank], Initial::Constant(0.0));
+                list.add(
+                    format!("{name}.lora_A.weight"),
+                    &[rank, width],
+                    Initial::Uniform { fan_in: width },
+                );
+                list.add(
+                    format!("{name}.lora_B.weight"),
+                    &[outputs, rank],
+                    Initial::Constant(0.0),
+                );
             }
         }
     }
     list.0
+}
+
+/// Rank of the low-rank updates in a source, `None` when it has none.
+#[must_use]
+pub fn lora_rank(source: &dyn ParameterSource) -> Option<usize> {
+    source
+        .shape("backbone.backbone.frame_blocks.0.attn.qkv.lora_A.weight")
+        .and_then(|shape| shape.first().copied())
 }
 
 #[derive(Default)]
@@ -110,7 +160,11 @@ struct List(Vec<ParameterSpec>);
 
 impl List {
     fn add(&mut self, name: String, shape: &[usize], initial: Initial) {
-        self.0.push(ParameterSpec { name, shape: shape.to_vec(), initial });
+        self.0.push(ParameterSpec {
+            name,
+            shape: shape.to_vec(),
+            initial,
+        });
     }
 
     /// A weight of this shape and its bias, with equal initial values.
@@ -121,7 +175,13 @@ impl List {
 
     /// A linear or convolution layer.
     fn layer(&mut self, name: &str, shape: &[usize]) {
-        self.filled(name, shape, Initial::Uniform { fan_in: shape[1..].iter().product() });
+        self.filled(
+            name,
+            shape,
+            Initial::Uniform {
+                fan_in: shape[1..].iter().product(),
+            },
+        );
     }
 
     fn norm(&mut self, name: &str, size: usize) {
@@ -131,7 +191,11 @@ impl List {
 
     fn linear(&mut self, name: &str, [outputs, inputs]: [usize; 2], encoder: bool) {
         if encoder {
-            self.add(format!("{name}.weight"), &[outputs, inputs], Initial::Normal { std: 0.02 });
+            self.add(
+                format!("{name}.weight"),
+                &[outputs, inputs],
+                Initial::Normal { std: 0.02 },
+            );
             self.add(format!("{name}.bias"), &[outputs], Initial::Constant(0.0));
         } else {
             self.layer(name, &[outputs, inputs]);
@@ -157,7 +221,12 @@ impl List {
 
     fn head(&mut self, kind: HeadKind, config: &Stage1Config) {
         let head = format!("backbone.{}", kind.name());
-        let Stage1Config { head_features: features, head_hidden: hidden, head_channels: channels, .. } = *config;
+        let Stage1Config {
+            head_features: features,
+            head_hidden: hidden,
+            head_channels: channels,
+            ..
+        } = *config;
         let inputs = 2 * config.width;
         self.norm(&format!("{head}.norm"), inputs);
         for (level, &count) in channels.iter().enumerate() {
@@ -165,7 +234,10 @@ impl List {
         }
         for (level, kernel) in [(0, 4), (1, 2)] {
             // Of a transposed convolution the second axis is the output.
-            self.layer(&format!("{head}.resize_layers.{level}"), &[channels[level], channels[level], kernel, kernel]);
+            self.layer(
+                &format!("{head}.resize_layers.{level}"),
+                &[channels[level], channels[level], kernel, kernel],
+            );
         }
         self.layer(&format!("{head}.resize_layers.3"), &[channels[3], channels[3], 3, 3]);
         for (level, &count) in channels.iter().enumerate() {
@@ -177,19 +249,29 @@ impl List {
             self.layer(&format!("{name}.out_conv"), &[features, features, 1, 1]);
             for unit in if level < 4 { 1..=2 } else { 2..=2 } {
                 for conv in 1..=2 {
-                    self.layer(&format!("{name}.resConfUnit{unit}.conv{conv}"), &[features, features, 3, 3]);
+                    self.layer(
+                        &format!("{name}.resConfUnit{unit}.conv{conv}"),
+                        &[features, features, 3, 3],
+                    );
                 }
             }
         }
         self.layer(&format!("{head}.scratch.output_conv1"), &[features / 2, features, 3, 3]);
         self.layer(&format!("{head}.scratch.output_conv2.0"), &[hidden, features / 2, 3, 3]);
-        self.layer(&format!("{head}.scratch.output_conv2.2"), &[kind.channels(), hidden, 1, 1]);
+        self.layer(
+            &format!("{head}.scratch.output_conv2.2"),
+            &[kind.channels(), hidden, 1, 1],
+        );
         if let Some(inputs) = kind.shortcut_channels() {
             self.layer(&format!("{head}.shortcut.0"), &[hidden, inputs, 3, 3]);
             self.layer(&format!("{head}.shortcut.2"), &[SPLAT_CHANNELS, hidden, 1, 1]);
         }
         if kind.timed() {
-            self.filled(&format!("{head}.time_embed"), &[2 * inputs, config.time_numbers()], Initial::Constant(0.0));
+            self.filled(
+                &format!("{head}.time_embed"),
+                &[2 * inputs, config.time_numbers()],
+                Initial::Constant(0.0),
+            );
         }
     }
 }

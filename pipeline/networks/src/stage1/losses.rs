@@ -27,7 +27,9 @@ pub fn depth(predicted: Tensor<3>, target: Tensor<3>, mask: Tensor<3>) -> Result
 /// When the shapes differ.
 pub fn depth_terms(predicted: Tensor<3>, target: Tensor<3>, mask: Tensor<3>) -> Result<[Tensor<1>; 2]> {
     if predicted.dims() != target.dims() || predicted.dims() != mask.dims() {
-        return Err(Error::BadInput("depth, reference depth and mask have different shapes".into()));
+        return Err(Error::BadInput(
+            "depth, reference depth and mask have different shapes".into(),
+        ));
     }
     let error = (predicted - target) * mask.clone();
     let square = (error.clone() * error.clone()).sum() / (mask.clone().sum() + MASK_EPSILON);
@@ -36,7 +38,8 @@ pub fn depth_terms(predicted: Tensor<3>, target: Tensor<3>, mask: Tensor<3>) -> 
         if scale > 0 {
             (error, mask) = (every_second(error), every_second(mask));
         }
-        let term = (differences(&error, &mask, 2) + differences(&error, &mask, 1)) / (mask.clone().sum() + MASK_EPSILON);
+        let term =
+            (differences(&error, &mask, 2) + differences(&error, &mask, 1)) / (mask.clone().sum() + MASK_EPSILON);
         total = Some(match total {
             Some(sum) => sum + term,
             None => term,
@@ -52,7 +55,12 @@ fn differences(error: &Tensor<3>, mask: &Tensor<3>, axis: usize) -> Tensor<1> {
     if count < 2 {
         return (error.clone() * 0.0).sum();
     }
-    let pair = |map: &Tensor<3>| (map.clone().narrow(axis, 1, count - 1), map.clone().narrow(axis, 0, count - 1));
+    let pair = |map: &Tensor<3>| {
+        (
+            map.clone().narrow(axis, 1, count - 1),
+            map.clone().narrow(axis, 0, count - 1),
+        )
+    };
     let ((right, left), (right_mask, left_mask)) = (pair(error), pair(mask));
     ((right - left).abs() * right_mask * left_mask).sum()
 }
@@ -63,7 +71,9 @@ fn every_second(map: Tensor<3>) -> Tensor<3> {
     let (rows, columns) = (height.div_ceil(2), width.div_ceil(2));
     let device = map.device();
     let picks = |count: usize| Tensor::<1, burn::tensor::Int>::arange_step(0..2 * count as i64, 2, &device);
-    map.select(1, picks(rows)).select(2, picks(columns)).reshape([frames, rows, columns])
+    map.select(1, picks(rows))
+        .select(2, picks(columns))
+        .reshape([frames, rows, columns])
 }
 
 /// Motion loss of the valid (query, track) displacements: mean absolute error plus 10 x the mean absolute difference of
@@ -74,7 +84,9 @@ fn every_second(map: Tensor<3>) -> Tensor<3> {
 pub fn motion(predicted: Tensor<2>, target: Tensor<2>, pairs: [Tensor<2>; 2]) -> Result<Tensor<1>> {
     let [pair_predicted, pair_target] = pairs;
     if predicted.dims() != target.dims() || pair_predicted.dims() != pair_target.dims() {
-        return Err(Error::BadInput("displacements and their references have different shapes".into()));
+        return Err(Error::BadInput(
+            "displacements and their references have different shapes".into(),
+        ));
     }
     let products = |rows: Tensor<2>| rows.clone().matmul(rows.transpose());
     let pairwise = (products(pair_predicted) - products(pair_target)).abs().mean();

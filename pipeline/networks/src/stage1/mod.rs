@@ -3,6 +3,7 @@
 //! [`Stage1::encode`] turns the source frames of a clip into what the heads read; [`Stage1::head`] gives the dense heads,
 //! of which the motion heads are asked once per query time.
 
+pub mod adapter;
 pub mod aggregator;
 pub mod block;
 pub mod config;

@@ -109,7 +109,7 @@ impl Stage1 {
     ///
     /// # Errors
     /// When a tensor is missing or has another shape, or the frames do not fit together.
-    pub fn encode(&self, frames: SourceFrames) -> Result<Encoded> {
+    pub fn encode(&self, frames: &SourceFrames) -> Result<Encoded> {
         let tokens = self.encoder().forward(frames.images.clone())?;
         self.encode_tokens(frames, tokens)
     }
@@ -118,7 +118,7 @@ impl Stage1 {
     ///
     /// # Errors
     /// As [`Self::encode`].
-    pub fn encode_tokens(&self, frames: SourceFrames, tokens: Tensor<3>) -> Result<Encoded> {
+    pub fn encode_tokens(&self, frames: &SourceFrames, tokens: Tensor<3>) -> Result<Encoded> {
         let SourceFrames {
             images,
             cameras,
@@ -126,7 +126,6 @@ impl Stage1 {
             attention,
         } = frames;
         let [count, _, height, width] = images.dims();
-        drop(images);
         if cameras.len() != count || times.len() != count {
             let (poses, times) = (cameras.len(), times.len());
             return Err(Error::BadInput(format!(
@@ -136,9 +135,9 @@ impl Stage1 {
         cameras.iter().try_for_each(Camera::validate)?;
         let grid = self.config.grid(height, width)?;
         let aggregator = self.aggregator();
-        let rays = aggregator.normalise_rays(aggregator.ray_embedding(&cameras, [height, width])?)?;
-        let tokens = aggregator.tokens(tokens + rays, &cameras, &times)?;
-        let taps = aggregator.forward(tokens, grid, &attention)?;
+        let rays = aggregator.normalise_rays(aggregator.ray_embedding(cameras, [height, width])?)?;
+        let tokens = aggregator.tokens(tokens + rays, cameras, times)?;
+        let taps = aggregator.forward(tokens, grid, attention)?;
         let first = self.config.patch_start();
         let taps = taps.map(|tap| standardise(tap.narrow(1, first, grid[0] * grid[1]), TAP_EPSILON));
         Ok(Encoded {

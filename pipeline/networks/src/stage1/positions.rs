@@ -1,5 +1,7 @@
 //! Position embeddings: the learned grid of the image encoder, rotary tables, and the sine map of the dense heads.
 
+use std::sync::Arc;
+
 use burn::tensor::{Device, Tensor};
 
 use crate::parameters::from_host;
@@ -151,7 +153,9 @@ impl RotaryTable {
     #[must_use]
     pub fn on(&self, device: &Device) -> Rotary {
         let shape = [1, 1, self.len(), self.head_size];
+        let table = Arc::new(self.clone());
         Rotary {
+            table,
             cosine: from_host(self.cosine.clone(), shape, device),
             sine: from_host(self.sine.clone(), shape, device),
         }
@@ -161,6 +165,8 @@ impl RotaryTable {
 /// A [`RotaryTable`] on a device. `[1, 1, T, head_size]` each
 #[derive(Debug, Clone)]
 pub struct Rotary {
+    /// The table of one period; the positions of longer token lists repeat it.
+    table: Arc<RotaryTable>,
     cosine: Tensor<4>,
     sine: Tensor<4>,
 }
@@ -176,11 +182,17 @@ impl Rotary {
         input.clone() * self.cosine.clone() + swapped * self.sine.clone()
     }
 
+    /// The values of one period of positions.
+    pub(crate) fn table(&self) -> &Arc<RotaryTable> {
+        &self.table
+    }
+
     /// The same table for `frames` copies of the token list, one after another.
     #[must_use]
     pub fn repeated(&self, frames: usize) -> Self {
         let repeat = |table: &Tensor<4>| table.clone().repeat(&[1, 1, frames, 1]);
         Self {
+            table: self.table.clone(),
             cosine: repeat(&self.cosine),
             sine: repeat(&self.sine),
         }

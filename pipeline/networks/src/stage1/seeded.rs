@@ -41,9 +41,16 @@ pub fn network(config: &Stage1Config, seed: u64, device: &Device) -> Result<Stag
 #[must_use]
 pub fn values(spec: &ParameterSpec, config: &Stage1Config, seed: u64) -> Vec<f32> {
     let mut values = drawn(&spec.name, spec.len(), spec.initial, seed);
-    let local = spec.name.strip_prefix(PREFIX).and_then(|name| name.strip_prefix('.')).unwrap_or(&spec.name);
+    let local = spec
+        .name
+        .strip_prefix(PREFIX)
+        .and_then(|name| name.strip_prefix('.'))
+        .unwrap_or(&spec.name);
     let Some((head, local)) = HeadKind::ALL.iter().find_map(|&kind| {
-        local.strip_prefix(kind.name()).and_then(|rest| rest.strip_prefix('.')).map(|rest| (kind, rest))
+        local
+            .strip_prefix(kind.name())
+            .and_then(|rest| rest.strip_prefix('.'))
+            .map(|rest| (kind, rest))
     }) else {
         return values;
     };
@@ -54,12 +61,29 @@ pub fn values(spec: &ParameterSpec, config: &Stage1Config, seed: u64) -> Vec<f32
             values.copy_from_slice(&[libm::log(START_DEPTH_M * UNITS_PER_METRE) as f32, 0.0]);
         }
         (HeadKind::Splat, "scratch.output_conv2.2.bias") => {
-            let start = [0.0, 0.0, 0.0, START_SCALE, START_SCALE, START_SCALE, 1.0, 0.0, 0.0, 0.0, START_OPACITY, 0.0];
+            let start = [
+                0.0,
+                0.0,
+                0.0,
+                START_SCALE,
+                START_SCALE,
+                START_SCALE,
+                1.0,
+                0.0,
+                0.0,
+                0.0,
+                START_OPACITY,
+                0.0,
+            ];
             values.copy_from_slice(&start);
         }
         (HeadKind::MotionSplat, "scratch.output_conv2.2.bias") => values.fill(0.0),
-        (HeadKind::Splat, _) if local.starts_with("shortcut.") => color_shortcut(local, config.head_hidden, &mut values),
-        (HeadKind::MotionSplat, _) if local.starts_with("shortcut.") => pass_shortcut(local, config.head_hidden, &mut values),
+        (HeadKind::Splat, _) if local.starts_with("shortcut.") => {
+            color_shortcut(local, config.head_hidden, &mut values)
+        }
+        (HeadKind::MotionSplat, _) if local.starts_with("shortcut.") => {
+            pass_shortcut(local, config.head_hidden, &mut values)
+        }
         _ => {}
     }
     values
@@ -74,7 +98,11 @@ fn color_shortcut(local: &str, hidden: usize, values: &mut [f32]) {
     }
     values.fill(0.0);
     for color in 0..3 {
-        let units = [(1.0, 0.0, 2.0), (1.0, -0.5 - COLOR_KNEE, STEEP), (-1.0, 0.5 - COLOR_KNEE, -STEEP)];
+        let units = [
+            (1.0, 0.0, 2.0),
+            (1.0, -0.5 - COLOR_KNEE, STEEP),
+            (-1.0, 0.5 - COLOR_KNEE, -STEEP),
+        ];
         for (unit, (weight, bias, gain)) in units.into_iter().enumerate() {
             let unit = 3 * color + unit;
             match local {
@@ -90,8 +118,19 @@ fn color_shortcut(local: &str, hidden: usize, values: &mut [f32]) {
 /// Shortcut weights that pass the base attributes on: colours with both signs, scales, the real part of the rotation and
 /// opacity by their positive part.
 fn pass_shortcut(local: &str, hidden: usize, values: &mut [f32]) {
-    const UNITS: [(usize, f32); 11] =
-        [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0), (2, 1.0), (2, -1.0), (3, 1.0), (4, 1.0), (5, 1.0), (6, 1.0), (10, 1.0)];
+    const UNITS: [(usize, f32); 11] = [
+        (0, 1.0),
+        (0, -1.0),
+        (1, 1.0),
+        (1, -1.0),
+        (2, 1.0),
+        (2, -1.0),
+        (3, 1.0),
+        (4, 1.0),
+        (5, 1.0),
+        (6, 1.0),
+        (10, 1.0),
+    ];
     if hidden < UNITS.len() {
         return;
     }
@@ -112,7 +151,9 @@ fn drawn(name: &str, count: usize, initial: Initial, seed: u64) -> Vec<f32> {
         Initial::Constant(value) => vec![value; count],
         Initial::Uniform { fan_in } => {
             let bound = 1.0 / (fan_in.max(1) as f64).sqrt();
-            (0..count as u64).map(|index| ((2.0 * unit(key, index) - 1.0) * bound) as f32).collect()
+            (0..count as u64)
+                .map(|index| ((2.0 * unit(key, index) - 1.0) * bound) as f32)
+                .collect()
         }
         Initial::Normal { std } => {
             // Box and Muller, the cosine branch only: one value per pair of counters.
@@ -139,7 +180,9 @@ fn mix(value: u64) -> u64 {
 
 /// FNV-1a.
 fn hash(bytes: &[u8]) -> u64 {
-    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, &byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, &byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    })
 }
 
 #[cfg(test)]
@@ -148,7 +191,11 @@ mod tests {
 
     fn moments(values: &[f32]) -> (f64, f64) {
         let mean = values.iter().map(|&value| f64::from(value)).sum::<f64>() / values.len() as f64;
-        let variance = values.iter().map(|&value| (f64::from(value) - mean).powi(2)).sum::<f64>() / values.len() as f64;
+        let variance = values
+            .iter()
+            .map(|&value| (f64::from(value) - mean).powi(2))
+            .sum::<f64>()
+            / values.len() as f64;
         (mean, variance.sqrt())
     }
 
@@ -158,7 +205,10 @@ mod tests {
         assert!(mean.abs() < 3e-4 && (std / 0.02 - 1.0).abs() < 0.02, "{mean} {std}");
         let uniform = drawn("a", 100_000, Initial::Uniform { fan_in: 16 }, 7);
         let (mean, std) = moments(&uniform);
-        assert!(mean.abs() < 2e-3 && (std / (0.25 / 3f64.sqrt()) - 1.0).abs() < 0.02, "{mean} {std}");
+        assert!(
+            mean.abs() < 2e-3 && (std / (0.25 / 3f64.sqrt()) - 1.0).abs() < 0.02,
+            "{mean} {std}"
+        );
         assert!(uniform.iter().all(|value| value.abs() <= 0.25));
     }
 

@@ -66,6 +66,17 @@ impl Golden {
         self.values(name).chunks_exact(16).map(matrix).collect()
     }
 
+    /// The tensors whose names begin with `prefix`, as parameters.
+    pub fn parameters(&self, prefix: &str, device: &Device) -> Parameters {
+        let mut parameters = Parameters::new(device);
+        for name in self.names().filter(|name| name.starts_with(prefix)) {
+            parameters
+                .insert(name, self.shape(name), self.values(name).to_vec())
+                .unwrap();
+        }
+        parameters
+    }
+
     /// A tensor in another shape of the same size.
     pub fn tensor<const D: usize>(&self, name: &str, shape: [usize; D], device: &Device) -> Tensor<D> {
         Tensor::from_data(TensorData::new(self.values(name).to_vec(), shape), device)

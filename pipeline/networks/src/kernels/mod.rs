@@ -1,0 +1,17 @@
+//! CPU kernels for the operations that dominate inference: convolution, attention, activations.
+//!
+//! They run on plain slices, are vectorised for the instruction set found at run time, and give the same bytes for any
+//! number of threads: work is cut into tasks whose bounds do not depend on the threads, and each task sums in a fixed
+//! order. Tensors that record gradients do not come here (see [`crate::ops`]).
+
+mod attention;
+mod conv;
+mod dense_tail;
+mod extension;
+mod pointwise;
+
+pub(crate) use attention::{HeadNorm, PackedAttention};
+pub(crate) use conv::{After, Conv3x3};
+pub(crate) use dense_tail::DenseTail;
+pub(crate) use extension::{read, update, usable};
+pub(crate) use pointwise::{bias_gelu, bias_scale_add};

@@ -1,0 +1,93 @@
+//! Elementwise functions that the compiler turns into vector code.
+
+use pulp::Arch;
+use rayon::prelude::*;
+
+/// Values of a task.
+const CHUNK: usize = 1 << 14;
+
+/// e^x for x in about [-87, 88], to about 2 units in the last place; smaller arguments give 0 or nearly so.
+#[inline(always)]
+pub(super) fn exp(x: f32) -> f32 {
+    // x = n ln 2 + r, |r| <= ln 2 / 2; e^r by its Taylor polynomial of degree 7, 2^n in the exponent.
+    const ROUND: f32 = 12_582_912.0;
+    const LN2_HIGH: f32 = 0.693_359_375;
+    const LN2_LOW: f32 = -2.121_944_4e-4;
+    let x = x.clamp(-87.0, 88.0);
+    let shifted = x.mul_add(std::f32::consts::LOG2_E, ROUND);
+    let n = shifted - ROUND;
+    let r = n.mul_add(-LN2_LOW, n.mul_add(-LN2_HIGH, x));
+    let mut sum = 1.0 / 5040.0;
+    for coefficient in [1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0] {
+        sum = r.mul_add(sum, coefficient);
+    }
+    let power = f32::from_bits(shifted.to_bits().wrapping_sub(ROUND.to_bits()).wrapping_add(127) << 23);
+    sum * power
+}
+
+/// x * (1 + erf(x / sqrt 2)) / 2, absolute error below 3e-7 * (1 + |x|).
+#[inline(always)]
+pub(super) fn gelu(x: f32) -> f32 {
+    // erf by Abramowitz and Stegun 7.1.26: 1 - (a1 t + ... + a5 t^5) e^(-z^2), t = 1 / (1 + p z).
+    let z = x.abs() * std::f32::consts::FRAC_1_SQRT_2;
+    let t = 1.0 / z.mul_add(0.327_591_1, 1.0);
+    let mut sum = 1.061_405_4_f32;
+    for coefficient in [-1.453_152, 1.421_413_7, -0.284_496_74, 0.254_829_6] {
+        sum = t.mul_add(sum, coefficient);
+    }
+    let tail = 0.5 * sum * t * exp(-z * z);
+    x * if x > 0.0 { 1.0 - tail } else { tail }
+}
+
+/// GELU of rows after adding a bias. `values [rows, width]`
+pub(crate) fn bias_gelu(values: &mut [f32], bias: &[f32]) {
+    let rows = (CHUNK / bias.len()).max(1);
+    values.par_chunks_mut(rows * bias.len()).for_each(|chunk| {
+        Arch::new().dispatch(|| {
+            for row in chunk.chunks_exact_mut(bias.len()) {
+                for (value, bias) in row.iter_mut().zip(bias) {
+                    *value = gelu(*value + bias);
+                }
+            }
+        });
+    });
+}
+
+/// residual + scale * (values + bias), into `values`; `scale` may be empty for 1. `values`, `residual [rows, width]`
+pub(crate) fn bias_scale_add(values: &mut [f32], bias: &[f32], scale: &[f32], residual: &[f32]) {
+    let width = bias.len();
+    let rows = (CHUNK / width).max(1);
+    let ones = vec![1.0; width];
+    let scale = if scale.is_empty() { &ones } else { scale };
+    values
+        .par_chunks_mut(rows * width)
+        .zip(residual.par_chunks(rows * width))
+        .for_each(|(chunk, residual)| {
+            Arch::new().dispatch(|| {
+                for (row, residual) in chunk.chunks_exact_mut(width).zip(residual.chunks_exact(width)) {
+                    for (((value, bias), scale), residual) in row.iter_mut().zip(bias).zip(scale).zip(residual) {
+                        *value = scale.mul_add(*value + bias, *residual);
+                    }
+                }
+            });
+        });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exponential_and_gelu_are_accurate() {
+        let (mut worst_exp, mut worst_gelu) = (0.0f64, 0.0f64);
+        for k in -80_000..80_000 {
+            let x = k as f32 / 1000.0;
+            let reference = libm::exp(f64::from(x));
+            worst_exp = worst_exp.max((f64::from(exp(x)) / reference - 1.0).abs());
+            let reference = 0.5 * f64::from(x) * (1.0 + libm::erf(f64::from(x) / std::f64::consts::SQRT_2));
+            worst_gelu = worst_gelu.max((f64::from(gelu(x)) - reference).abs() / (1.0 + f64::from(x.abs())));
+        }
+        assert!(worst_exp < 3e-7 && worst_gelu < 3e-7, "{worst_exp:e} {worst_gelu:e}");
+        assert_eq!(exp(-1e30), exp(-87.0));
+    }
+}
