@@ -19,6 +19,7 @@
 //! | `plan` | [`Prepared::load`], [`estimate::estimate`]; `--explain`: [`plan::Plan::explain_clip`] | [`estimate::Estimate`], [`explain::Explanation`] |
 //! | `run` (= `resume`) | [`Prepared::run`] | [`executor::RunSummary`] |
 //! | `status` | [`status::status`] | [`status::Status`] |
+//! | `report` | [`report::write_report`] over a [`report::ReportInput`] that the caller fills | - |
 //! | `verify` | [`verify::verify`] | [`verify::Verification`] |
 //! | `schema` | [`manifest::Manifest::json_schema`] | the JSON schema itself |
 //!
@@ -38,6 +39,7 @@ pub mod manifest;
 pub mod plan;
 pub mod prepare;
 pub mod programs;
+pub mod report;
 pub mod sources;
 pub mod state;
 pub mod status;

@@ -8,6 +8,7 @@ use std::time::Duration;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use rogs_schemas::protocol::InputDescription;
 
+use crate::batch::{BatchArguments, batch};
 use crate::describe::describe;
 use crate::error::{StageError, StageResult};
 use crate::one::{OneArguments, one};
@@ -74,6 +75,16 @@ fn dispatch<S: Stage>(matches: &ArgMatches) -> StageResult<ExitCode> {
                 return Ok(ExitCode::from(EXIT_TEMPORARY));
             }
             Ok(serve::<S>(grace(matches)))
+        }
+        Some(("batch", matches)) => {
+            set_threads(matches)?;
+            let arguments = BatchArguments {
+                plan: matches.get_one::<PathBuf>("plan").cloned().unwrap_or_default(),
+                shard: matches.get_one::<String>("shard-index").cloned().unwrap_or_default(),
+                shards: matches.get_one::<u32>("shard-count").copied(),
+                grace: grace(matches),
+            };
+            batch::<S>(&arguments)
         }
         Some(("describe", matches)) => {
             let description = describe::<S>(&params_of(matches)?)?;
@@ -147,6 +158,25 @@ fn command<S: Stage>() -> Command {
         .help("Say nothing but errors");
     one = one.arg(out.help("The file to write")).arg(clip_id).arg(quiet);
 
+    let plan = Arg::new("plan")
+        .long("plan")
+        .value_name("FILE")
+        .required(true)
+        .value_parser(value_parser!(PathBuf));
+    let index = Arg::new("shard-index")
+        .long("shard-index")
+        .value_name("N|auto")
+        .default_value("auto");
+    let count = Arg::new("shard-count")
+        .long("shard-count")
+        .value_name("M")
+        .value_parser(value_parser!(u32));
+    let batch = Command::new("batch")
+        .about("Run one shard of a plan file, skipping what is up to date")
+        .arg(plan.help("The file that `rogs plan --emit jsonl` writes"))
+        .arg(index.help("The shard; auto: SLURM_ARRAY_TASK_ID, JOB_COMPLETION_INDEX or HQ_TASK_ID"))
+        .arg(count.help("Number of shards, to check that it is that of the plan"))
+        .args([threads.clone(), grace.clone()]);
     let worker = Command::new("worker")
         .about("Serve jobs: JSON lines on stdin, events on stdout")
         .arg(threads)
@@ -169,7 +199,7 @@ fn command<S: Stage>() -> Command {
         )))
         .subcommand_required(true)
         .arg_required_else_help(true)
-        .subcommands([one, worker, describe])
+        .subcommands([one, worker, batch, describe])
 }
 
 /// clap wants names that live as long as the program; there are a handful, made once.

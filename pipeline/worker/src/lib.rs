@@ -1,4 +1,4 @@
-//! The faces of a stage program: `one`, `worker`, `describe`.
+//! The faces of a stage program: `one`, `worker`, `batch`, `describe`.
 //!
 //! A stage implements [`Stage`]; its binary's `main` is one call of [`stage_main`].
 //!
@@ -6,12 +6,14 @@
 //! |---|---|---|
 //! | `one` | a person | runs one clip from named inputs, progress on stderr |
 //! | `worker` | the orchestrator | one [`Job`](rogs_schemas::protocol::Job) a line on stdin, one [`Event`](rogs_schemas::protocol::Event) a line on stdout |
+//! | `batch` | Slurm arrays, Kubernetes indexed jobs, xargs | one shard of a plan file, skipping what is up to date |
 //! | `describe` | the orchestrator, editors | name, version, inputs, parameters with defaults and JSON schema |
 //!
 //! What a worker promises: a clip that fails or panics does not stop the next one; the stage is loaded once and again
 //! only when its parameters or a source input (weights, robot) change; nothing is left beside the output; an output is
 //! only accepted when the key asked for equals the hash of its material.
 
+mod batch;
 mod cli;
 mod context;
 mod describe;

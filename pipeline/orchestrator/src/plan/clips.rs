@@ -1,6 +1,6 @@
 //! The clips of a plan: which episodes, under which names, with which content.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -198,10 +198,15 @@ fn names(asked: &[Asked<'_>], text: &Text) -> Result<Vec<String>> {
         }
     }
     let mut ids = Vec::with_capacity(asked.len());
+    let mut seen = BTreeSet::new();
     for (index, asked) in asked.iter().enumerate() {
         if let Some(id) = asked.id {
             ids.push(id.to_owned());
             continue;
+        }
+        if !seen.insert((asked.root, asked.listed.selector.as_str())) {
+            let message = format!("the episode `{}` is named twice", asked.listed.episode_id);
+            return Err(text.error(&["episodes"], message).with_hint("give each its own `id`"));
         }
         let mut id = safe_name(&asked.listed.episode_id);
         if taken.contains_key(&id.to_lowercase()) {

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use base64::Engine as _;
-use rogs_schemas::records::clip::{Clip, CameraMount};
+use rogs_schemas::records::clip::{CameraMount, Clip};
 use rogs_schemas::records::field::WeightsInfo;
 use rogs_schemas::records::scores::ScoreSheet;
 
@@ -46,7 +46,9 @@ fn number(value: Option<f64>, digits: usize) -> String {
 
 /// Mean of the values that exist.
 fn mean(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
-    let (sum, count) = values.flatten().fold((0.0, 0u32), |(sum, count), value| (sum + value, count + 1));
+    let (sum, count) = values
+        .flatten()
+        .fold((0.0, 0u32), |(sum, count), value| (sum + value, count + 1));
     (count > 0).then(|| sum / f64::from(count))
 }
 
@@ -70,15 +72,22 @@ impl Page {
     pub(super) fn facts(&mut self, facts: &[(String, String)]) {
         self.html.push_str("<table>\n");
         for (name, value) in facts {
-            let _ = writeln!(self.html, "<tr><th>{}</th><td>{}</td></tr>", escape(name), escape(value));
+            let _ = writeln!(
+                self.html,
+                "<tr><th>{}</th><td>{}</td></tr>",
+                escape(name),
+                escape(value)
+            );
         }
         self.html.push_str("</table>\n");
     }
 
     /// A loud banner when some weights are not trained: the numbers then say nothing about the method.
     pub(super) fn untrained_banner<'a>(&mut self, weights: impl Iterator<Item = &'a WeightsInfo>) {
-        let mut names: Vec<String> =
-            weights.filter(|info| !info.trained).map(|info| format!("{} ({})", info.configuration, info.description)).collect();
+        let mut names: Vec<String> = weights
+            .filter(|info| !info.trained)
+            .map(|info| format!("{} ({})", info.configuration, info.description))
+            .collect();
         names.sort();
         names.dedup();
         if !names.is_empty() {
@@ -117,7 +126,8 @@ impl Page {
         self.html.push_str("<h2>Failures</h2>\n");
         for clip in clips {
             for failure in &clip.failures {
-                self.html.push_str(&failure_html(&format!("{}, {}", clip.clip_id, failure.stage), failure));
+                self.html
+                    .push_str(&failure_html(&format!("{}, {}", clip.clip_id, failure.stage), failure));
             }
         }
     }
@@ -133,8 +143,16 @@ impl Page {
 }
 
 fn failure_html(place: &str, failure: &FailureReport) -> String {
-    let hint = failure.hint.as_ref().map(|hint| format!("<br>→ {}", escape(hint))).unwrap_or_default();
-    format!("<div class=\"failure\"><b>{}</b>: {}{hint}</div>\n", escape(place), escape(&failure.message))
+    let hint = failure
+        .hint
+        .as_ref()
+        .map(|hint| format!("<br>→ {}", escape(hint)))
+        .unwrap_or_default();
+    format!(
+        "<div class=\"failure\"><b>{}</b>: {}{hint}</div>\n",
+        escape(place),
+        escape(&failure.message)
+    )
 }
 
 /// The part of one clip.
@@ -145,7 +163,9 @@ pub(super) struct Section {
 impl Section {
     pub(super) fn new(clip_id: &str, open: bool) -> Self {
         let open = if open { " open" } else { "" };
-        Self { html: format!("<details{open}><summary>{}</summary>\n", escape(clip_id)) }
+        Self {
+            html: format!("<details{open}><summary>{}</summary>\n", escape(clip_id)),
+        }
     }
 
     pub(super) fn note(&mut self, text: &str) {
@@ -160,7 +180,12 @@ impl Section {
 
     pub(super) fn warnings(&mut self, warnings: &[(String, String)]) {
         for (stage, warning) in warnings {
-            let _ = writeln!(self.html, "<div class=\"warning\">{}: {}</div>", escape(stage), escape(warning));
+            let _ = writeln!(
+                self.html,
+                "<div class=\"warning\">{}: {}</div>",
+                escape(stage),
+                escape(warning)
+            );
         }
     }
 
@@ -189,15 +214,27 @@ impl Section {
         ];
         self.html.push_str("<table>");
         for (name, value) in rows.iter().filter(|(_, value)| !value.is_empty()) {
-            let _ = writeln!(self.html, "<tr><th>{name}</th><td style=\"text-align:left\">{}</td></tr>", escape(value));
+            let _ = writeln!(
+                self.html,
+                "<tr><th>{name}</th><td style=\"text-align:left\">{}</td></tr>",
+                escape(value)
+            );
         }
         self.html.push_str("</table>\n");
     }
 
     pub(super) fn scores(&mut self, method: &str, sheet: &ScoreSheet) {
-        let _ = writeln!(self.html, "<h3>{}</h3><table><tr><th>views</th><th>PSNR dB</th><th>SSIM</th><th>LPIPS</th><th>AbsRel</th><th>RMSE m</th><th>δ1 %</th><th>images</th></tr>", escape(method));
+        let _ = writeln!(
+            self.html,
+            "<h3>{}</h3><table><tr><th>views</th><th>PSNR dB</th><th>SSIM</th><th>LPIPS</th><th>AbsRel</th><th>RMSE m</th><th>δ1 %</th><th>images</th></tr>",
+            escape(method)
+        );
         for (name, source) in [("source", true), ("novel", false)] {
-            let images: Vec<_> = sheet.images.iter().filter(|image| image.source_view == source).collect();
+            let images: Vec<_> = sheet
+                .images
+                .iter()
+                .filter(|image| image.source_view == source)
+                .collect();
             let _ = writeln!(
                 self.html,
                 "<tr><td>{name}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
@@ -206,7 +243,10 @@ impl Section {
                 number(mean(images.iter().map(|image| image.lpips)), 3),
                 number(mean(images.iter().map(|image| image.absrel)), 3),
                 number(mean(images.iter().map(|image| image.rmse_m)), 3),
-                number(mean(images.iter().map(|image| image.delta1.map(|value| 100.0 * value))), 1),
+                number(
+                    mean(images.iter().map(|image| image.delta1.map(|value| 100.0 * value))),
+                    1
+                ),
                 images.len(),
             );
         }
@@ -215,7 +255,11 @@ impl Section {
             "</table><p>robot EPE {} mm, robot depth error {} mm{}</p>",
             number(mean(sheet.tracks.iter().map(|track| track.epe_mm)), 2),
             number(mean(sheet.robot_depth.iter().map(|depth| depth.robot_depth_mm)), 1),
-            sheet.lpips_note.as_ref().map(|note| format!("; LPIPS: {}", escape(note))).unwrap_or_default(),
+            sheet
+                .lpips_note
+                .as_ref()
+                .map(|note| format!("; LPIPS: {}", escape(note)))
+                .unwrap_or_default(),
         );
     }
 
@@ -239,7 +283,8 @@ impl Section {
         if timings.is_empty() {
             return;
         }
-        self.html.push_str("<h3>Cost</h3><table><tr><th>stage</th><th>seconds</th><th>peak memory MiB</th></tr>\n");
+        self.html
+            .push_str("<h3>Cost</h3><table><tr><th>stage</th><th>seconds</th><th>peak memory MiB</th></tr>\n");
         for timing in timings {
             let _ = writeln!(
                 self.html,

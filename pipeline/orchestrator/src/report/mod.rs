@@ -104,8 +104,12 @@ pub fn write_report(folder: &Path, input: &ReportInput) -> std::io::Result<PathB
     std::fs::create_dir_all(folder)?;
     let mut page = html::Page::new(&input.run_name);
     page.facts(&input.summary);
-    let sections: Vec<(usize, String, BTreeMap<String, WeightsInfo>)> =
-        input.clips.iter().enumerate().map(|(index, clip)| clip_section(index, clip, index < input.max_picture_clips)).collect();
+    let sections: Vec<(usize, String, BTreeMap<String, WeightsInfo>)> = input
+        .clips
+        .iter()
+        .enumerate()
+        .map(|(index, clip)| clip_section(index, clip, index < input.max_picture_clips))
+        .collect();
     page.untrained_banner(sections.iter().flat_map(|(_, _, weights)| weights.values()));
     for table in &input.tables {
         page.table(table);
@@ -121,7 +125,11 @@ pub fn write_report(folder: &Path, input: &ReportInput) -> std::io::Result<PathB
     Ok(path)
 }
 
-fn clip_section(index: usize, report: &ClipReport, with_pictures: bool) -> (usize, String, BTreeMap<String, WeightsInfo>) {
+fn clip_section(
+    index: usize,
+    report: &ClipReport,
+    with_pictures: bool,
+) -> (usize, String, BTreeMap<String, WeightsInfo>) {
     let mut section = html::Section::new(&report.clip_id, index == 0);
     let mut weights = BTreeMap::new();
     section.failures(&report.failures);
@@ -136,9 +144,15 @@ fn clip_section(index: usize, report: &ClipReport, with_pictures: bool) -> (usiz
         }
         if let Some(clip) = &data.clip {
             section.clip_facts(clip);
-            section.figures("Inputs with the outline of the robot mesh", pictures::inputs(clip, data.robot.as_ref()));
+            section.figures(
+                "Inputs with the outline of the robot mesh",
+                pictures::inputs(clip, data.robot.as_ref()),
+            );
             if let Some(robot) = &data.robot {
-                section.figures("Mesh depth (camera z) and link ids at the source times", pictures::robot(clip, robot));
+                section.figures(
+                    "Mesh depth (camera z) and link ids at the source times",
+                    pictures::robot(clip, robot),
+                );
             }
             for (method, scores) in &data.scores {
                 section.scores(method, &scores.summary);
@@ -171,13 +185,16 @@ fn read_clip(report: &ClipReport) -> ClipData {
             None
         }
     });
-    let robot = report.robot.as_deref().and_then(|path| match read_record::<RobotMaps>(path) {
-        Ok((robot, _)) => Some(robot),
-        Err(error) => {
-            note("robot-maps", error);
-            None
-        }
-    });
+    let robot = report
+        .robot
+        .as_deref()
+        .and_then(|path| match read_record::<RobotMaps>(path) {
+            Ok((robot, _)) => Some(robot),
+            Err(error) => {
+                note("robot-maps", error);
+                None
+            }
+        });
     let mut scores = Vec::new();
     for (method, path) in &report.scores {
         match read_record::<Scores>(path) {
@@ -185,5 +202,10 @@ fn read_clip(report: &ClipReport) -> ClipData {
             Err(error) => note("score", error),
         }
     }
-    ClipData { clip, robot, scores, unreadable }
+    ClipData {
+        clip,
+        robot,
+        scores,
+        unreadable,
+    }
 }

@@ -27,12 +27,20 @@ struct Picture {
 
 impl Picture {
     fn new(width: usize, height: usize, fill: u8) -> Self {
-        Self { width, height, rgb: vec![fill; width * height * 3] }
+        Self {
+            width,
+            height,
+            rgb: vec![fill; width * height * 3],
+        }
     }
 
     fn from_rgb(width: u32, height: u32, rgb: &[u8]) -> Option<Self> {
         let (width, height) = (width as usize, height as usize);
-        (rgb.len() == width * height * 3).then(|| Self { width, height, rgb: rgb.to_vec() })
+        (rgb.len() == width * height * 3).then(|| Self {
+            width,
+            height,
+            rgb: rgb.to_vec(),
+        })
     }
 
     fn blit(&mut self, source: &Self, left: usize, top: usize) {
@@ -47,17 +55,35 @@ impl Picture {
     fn jpeg(&self, caption: String) -> Option<Figure> {
         let mut bytes = Vec::new();
         image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 88)
-            .write_image(&self.rgb, self.width as u32, self.height as u32, ExtendedColorType::Rgb8)
+            .write_image(
+                &self.rgb,
+                self.width as u32,
+                self.height as u32,
+                ExtendedColorType::Rgb8,
+            )
             .ok()?;
-        Some(Figure { caption, media_type: "image/jpeg", bytes })
+        Some(Figure {
+            caption,
+            media_type: "image/jpeg",
+            bytes,
+        })
     }
 
     fn png(&self, caption: String) -> Option<Figure> {
         let mut bytes = Vec::new();
         image::codecs::png::PngEncoder::new(&mut bytes)
-            .write_image(&self.rgb, self.width as u32, self.height as u32, ExtendedColorType::Rgb8)
+            .write_image(
+                &self.rgb,
+                self.width as u32,
+                self.height as u32,
+                ExtendedColorType::Rgb8,
+            )
             .ok()?;
-        Some(Figure { caption, media_type: "image/png", bytes })
+        Some(Figure {
+            caption,
+            media_type: "image/png",
+            bytes,
+        })
     }
 }
 
@@ -69,7 +95,10 @@ fn grid(rows: &[Vec<Option<Picture>>]) -> Option<Picture> {
     let mut sheet = Picture::new(columns * (width + GAP) - GAP, rows.len() * (height + GAP) - GAP, 128);
     for (row, cells) in rows.iter().enumerate() {
         for (column, cell) in cells.iter().enumerate() {
-            if let Some(cell) = cell.as_ref().filter(|cell| cell.width == width && cell.height == height) {
+            if let Some(cell) = cell
+                .as_ref()
+                .filter(|cell| cell.width == width && cell.height == height)
+            {
                 sheet.blit(cell, column * (width + GAP), row * (height + GAP));
             }
         }
@@ -80,7 +109,11 @@ fn grid(rows: &[Vec<Option<Picture>>]) -> Option<Picture> {
 fn frame_rgb(clip: &Clip, camera: &ClipCamera, frame: u32) -> Option<Picture> {
     let area = (clip.height * clip.width * 3) as usize;
     let start = frame as usize * area;
-    Picture::from_rgb(clip.width, clip.height, camera.rgb.as_deref()?.get(start..start + area)?)
+    Picture::from_rgb(
+        clip.width,
+        clip.height,
+        camera.rgb.as_deref()?.get(start..start + area)?,
+    )
 }
 
 fn map_at(robot: &RobotMaps, camera: u32, frame: u32) -> Option<&RobotMap> {
@@ -97,7 +130,11 @@ fn outline(map: &RobotMap, width: usize, height: usize) -> Vec<usize> {
     let mut pixels = Vec::new();
     for row in 0..height as isize {
         for column in 0..width as isize {
-            if hit(column, row) && [(1, 0), (-1, 0), (0, 1), (0, -1)].iter().any(|(x, y)| !hit(column + x, row + y)) {
+            if hit(column, row)
+                && [(1, 0), (-1, 0), (0, 1), (0, -1)]
+                    .iter()
+                    .any(|(x, y)| !hit(column + x, row + y))
+            {
                 pixels.push(row as usize * width + column as usize);
             }
         }
@@ -139,13 +176,22 @@ pub(super) fn inputs(clip: &Clip, robot: Option<&RobotMaps>) -> Vec<Figure> {
 pub(super) fn robot(clip: &Clip, robot: &RobotMaps) -> Vec<Figure> {
     let sheet = |camera: u32| {
         let source = clip.cameras.get(camera as usize)?;
-        let maps: Vec<Option<&RobotMap>> = clip.source_frames.iter().map(|&frame| map_at(robot, camera, frame)).collect();
+        let maps: Vec<Option<&RobotMap>> = clip
+            .source_frames
+            .iter()
+            .map(|&frame| map_at(robot, camera, frame))
+            .collect();
         let (width, height) = (robot.width as usize, robot.height as usize);
         let depths = maps.iter().flatten().flat_map(|map| map.depth_m.iter().copied());
         let range = depth_range(depths)?;
-        let depth = maps.iter().map(|map| map.map(|map| depth_picture(width, height, &map.depth_m, range)));
+        let depth = maps
+            .iter()
+            .map(|map| map.map(|map| depth_picture(width, height, &map.depth_m, range)));
         let links = maps.iter().map(|map| map.map(|map| link_picture(width, height, map)));
-        let caption = format!("{}: depth {:.2} m (dark) to {:.2} m (bright), links by colour", source.id, range.0, range.1);
+        let caption = format!(
+            "{}: depth {:.2} m (dark) to {:.2} m (bright), links by colour",
+            source.id, range.0, range.1
+        );
         grid(&[depth.collect(), links.collect()])?.png(caption)
     };
     clip.source_cameras().into_iter().filter_map(sheet).collect()
@@ -157,16 +203,33 @@ pub(super) fn renders(clip: &Clip, scores: &Scores) -> Vec<Figure> {
     let sheet = |camera: &ClipCamera| {
         let views: Vec<Option<&RenderedView>> = frames
             .iter()
-            .map(|&frame| scores.renders.iter().find(|view| view.camera == camera.id && view.frame == frame))
+            .map(|&frame| {
+                scores
+                    .renders
+                    .iter()
+                    .find(|view| view.camera == camera.id && view.frame == frame)
+            })
             .collect();
         views.iter().flatten().next()?;
         let reference: Vec<Option<Picture>> = frames.iter().map(|&frame| frame_rgb(clip, camera, frame)).collect();
-        let render: Vec<Option<Picture>> =
-            views.iter().map(|view| view.and_then(|view| Picture::from_rgb(view.width, view.height, &view.rgb))).collect();
-        let error = reference.iter().zip(&render).map(|(a, b)| error_picture(a.as_ref()?, b.as_ref()?));
+        let render: Vec<Option<Picture>> = views
+            .iter()
+            .map(|view| view.and_then(|view| Picture::from_rgb(view.width, view.height, &view.rgb)))
+            .collect();
+        let error = reference
+            .iter()
+            .zip(&render)
+            .map(|(a, b)| error_picture(a.as_ref()?, b.as_ref()?));
         let range = depth_range(views.iter().flatten().flat_map(|view| view.depth_m.iter().copied()));
         let depth = views.iter().map(|view| {
-            view.and_then(|view| Some(depth_picture(view.width as usize, view.height as usize, &view.depth_m, range?)))
+            view.and_then(|view| {
+                Some(depth_picture(
+                    view.width as usize,
+                    view.height as usize,
+                    &view.depth_m,
+                    range?,
+                ))
+            })
         });
         let (error, depth) = (error.collect(), depth.collect());
         let held_out = if camera.partner.is_some() { " (held out)" } else { "" };
@@ -180,7 +243,9 @@ fn spread(frames: &[u32]) -> Vec<u32> {
     if frames.len() <= MAX_TIMES {
         return frames.to_vec();
     }
-    (0..MAX_TIMES).map(|index| frames[index * (frames.len() - 1) / (MAX_TIMES - 1)]).collect()
+    (0..MAX_TIMES)
+        .map(|index| frames[index * (frames.len() - 1) / (MAX_TIMES - 1)])
+        .collect()
 }
 
 fn join(frames: &[u32]) -> String {
@@ -212,7 +277,11 @@ fn depth_picture(width: usize, height: usize, depth_m: &[f32], (near, far): (f32
 /// A ramp of rising brightness from blue over red to yellow.
 fn ramp(x: f32) -> [u8; 3] {
     let channel = |value: f32| (255.0 * value.clamp(0.0, 1.0)) as u8;
-    [channel(1.8 * x), channel(1.9 * x - 0.75), channel(0.35 + 0.9 * x - 2.6 * (x - 0.35).max(0.0) + 1.6 * (x - 0.75).max(0.0))]
+    [
+        channel(1.8 * x),
+        channel(1.9 * x - 0.75),
+        channel(0.35 + 0.9 * x - 2.6 * (x - 0.35).max(0.0) + 1.6 * (x - 0.75).max(0.0)),
+    ]
 }
 
 fn link_picture(width: usize, height: usize, map: &RobotMap) -> Picture {
@@ -254,7 +323,13 @@ mod tests {
                 link[row * width + column] = 3;
             }
         }
-        let map = RobotMap { camera: 0, frame: 0, depth_m: vec![1.0; 42], link, support: vec![1; 42] };
+        let map = RobotMap {
+            camera: 0,
+            frame: 0,
+            depth_m: vec![1.0; 42],
+            link,
+            support: vec![1; 42],
+        };
         let pixels = outline(&map, width, height);
         assert_eq!(pixels.len(), 12, "a 4 x 4 square has 12 border pixels");
         assert!(!pixels.contains(&(2 * width + 3)));

@@ -1,0 +1,186 @@
+//! The face `batch`: one shard of a plan file, for engines that start processes on other machines.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use rogs_schemas::ledger::{self, Attempt, Failure, Outcome, PlannedUnit};
+use rogs_schemas::protocol::FailureCode;
+
+use crate::cli::{EXIT_FAILED, EXIT_OK, EXIT_TEMPORARY};
+use crate::error::{StageError, StageResult};
+use crate::job::Runner;
+use crate::serve::{drain_on_signals, draining};
+use crate::stage::Stage;
+use crate::sys;
+
+/// What the command line of `batch` says.
+pub(crate) struct BatchArguments {
+    /// Plan file: one [`PlannedUnit`] a line.
+    pub(crate) plan: PathBuf,
+    /// A number, or `auto`.
+    pub(crate) shard: String,
+    /// Must be that of the plan, when given.
+    pub(crate) shards: Option<u32>,
+    pub(crate) grace: Duration,
+}
+
+/// Environment variables in which engines put the index, in the order they are asked.
+const INDEX_VARIABLES: [&str; 3] = ["SLURM_ARRAY_TASK_ID", "JOB_COMPLETION_INDEX", "HQ_TASK_ID"];
+
+/// Counts of one shard.
+#[derive(Default)]
+struct Counts {
+    made: usize,
+    up_to_date: usize,
+    failed: usize,
+    temporary: usize,
+}
+
+/// Runs the units of a shard that belong to this stage and are not up to date.
+pub(crate) fn batch<S: Stage>(arguments: &BatchArguments) -> StageResult<ExitCode> {
+    let shard = shard_index(&arguments.shard)?;
+    drain_on_signals(arguments.grace).map_err(|error| StageError::io(format!("cannot handle signals: {error}")))?;
+    let units = read_units(&arguments.plan, S::NAME, shard, arguments.shards)?;
+    let mut runner = Runner::<S>::new();
+    let mut counts = Counts::default();
+    for unit in &units {
+        if draining() {
+            counts.temporary += 1;
+            break;
+        }
+        if up_to_date(unit) {
+            counts.up_to_date += 1;
+            continue;
+        }
+        run_unit(&mut runner, unit, &mut counts);
+    }
+    let Counts {
+        made,
+        up_to_date,
+        failed,
+        temporary,
+    } = counts;
+    eprintln!(
+        "{} shard {shard}: {made} made, {up_to_date} up to date, {failed} failed",
+        S::NAME
+    );
+    Ok(ExitCode::from(match (temporary, failed) {
+        (0, 0) => EXIT_OK,
+        (0, _) => EXIT_FAILED,
+        _ => EXIT_TEMPORARY,
+    }))
+}
+
+fn run_unit<S: Stage>(runner: &mut Runner<S>, unit: &PlannedUnit, counts: &mut Counts) {
+    let job = &unit.job;
+    let made = job.output.parent().map_or(Ok(()), std::fs::create_dir_all);
+    let made =
+        made.map_err(|error| StageError::io(format!("cannot make the folder of `{}`: {error}", job.output.display())));
+    let result = made.and_then(|()| runner.run(job, &mut |_, _| {}));
+    let mut attempt = Attempt {
+        unix_ms: SystemTime::now()
+            .duration_since(UNIX_EPOCH)
+            .map_or(0, |time| time.as_millis() as u64),
+        clip_id: job.clip_id.clone(),
+        stage: S::NAME.to_owned(),
+        output: job.output.strip_prefix(&unit.run).unwrap_or(&job.output).to_owned(),
+        key: job.key,
+        outcome: Outcome::Done,
+        seconds: Default::default(),
+        peak_rss_bytes: sys::peak_rss_bytes(),
+        output_bytes: std::fs::metadata(&job.output).map_or(0, |file| file.len()),
+        warnings: Vec::new(),
+        failure: None,
+        stderr: Vec::new(),
+        worker: format!("{}-{}", host(), std::process::id()),
+    };
+    match result {
+        Ok(report) => {
+            counts.made += 1;
+            eprintln!("{} {}: done", job.clip_id, S::NAME);
+            (attempt.seconds, attempt.warnings) = (report.seconds, report.warnings);
+        }
+        Err(StageError { code, message, hint }) => {
+            // Trying again later may help with these; with the others it will not.
+            let passing = matches!(code, FailureCode::Io | FailureCode::Resource);
+            *(if passing {
+                &mut counts.temporary
+            } else {
+                &mut counts.failed
+            }) += 1;
+            eprintln!("{} {}: failed: {message}", job.clip_id, S::NAME);
+            if let Some(hint) = &hint {
+                eprintln!("  hint: {hint}");
+            }
+            attempt.outcome = Outcome::Failed;
+            attempt.output_bytes = 0;
+            attempt.failure = Some(Failure { code, message, hint });
+        }
+    }
+    let ledger = unit.run.join("ledger").join(format!("{}.jsonl", attempt.worker));
+    let log = unit.run.join("clips").join(&job.clip_id).join("log.jsonl");
+    for file in [log, ledger] {
+        // Records are for people; the output counts without them.
+        if let Err(error) = ledger::append(&file, &attempt) {
+            eprintln!("warning: {error}");
+        }
+    }
+}
+
+fn up_to_date(unit: &PlannedUnit) -> bool {
+    rogs_schemas::r4c::read_header(&unit.job.output).is_ok_and(|header| header.key == unit.job.key)
+}
+
+fn shard_index(text: &str) -> StageResult<u32> {
+    let parse = |text: &str, from: &str| {
+        text.trim()
+            .parse()
+            .map_err(|_| StageError::bad_params(format!("`{text}` in {from} is no shard index")))
+    };
+    if text != "auto" {
+        return parse(text, "--shard-index");
+    }
+    let found = INDEX_VARIABLES
+        .iter()
+        .find_map(|name| Some((std::env::var(name).ok()?, *name)));
+    match found {
+        Some((value, name)) => parse(&value, name),
+        None => Err(
+            StageError::bad_params("`--shard-index auto` finds no index in the environment")
+                .with_hint(format!("one of {} must be set", INDEX_VARIABLES.join(", "))),
+        ),
+    }
+}
+
+fn read_units(plan: &Path, stage: &str, shard: u32, shards: Option<u32>) -> StageResult<Vec<PlannedUnit>> {
+    let wrong = |line: usize, why: String| StageError::bad_params(format!("`{}` line {line}: {why}", plan.display()));
+    let file = std::fs::File::open(plan).map_err(|error| wrong(0, error.to_string()))?;
+    let mut units = Vec::new();
+    for (index, line) in BufReader::new(file).lines().enumerate() {
+        let line = line.map_err(|error| wrong(index + 1, error.to_string()))?;
+        let unit: PlannedUnit = serde_json::from_str(&line).map_err(|error| wrong(index + 1, error.to_string()))?;
+        if shards.is_some_and(|shards| shards != unit.shards) || shard >= unit.shards {
+            let message = format!(
+                "the plan has {} shards, asked for shard {shard} of {shards:?}",
+                unit.shards
+            );
+            return Err(wrong(index + 1, message));
+        }
+        if unit.shard == shard && unit.job.material.stage == stage {
+            units.push(unit);
+        }
+    }
+    Ok(units)
+}
+
+fn host() -> String {
+    let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    let safe: String = name
+        .trim()
+        .chars()
+        .filter(|c| c.is_ascii_alphanumeric() || "._-".contains(*c))
+        .collect();
+    if safe.is_empty() { "host".to_owned() } else { safe }
+}
