@@ -143,7 +143,7 @@ pub fn backward(
     gradient: &RenderGradient<'_>,
 ) -> Result<Gradients> {
     let mut gradients = Gradients::zeros(gaussians);
-    backward_into(gaussians, config, tape, gradient, &mut gradients)?;
+    run(gaussians, config, tape, gradient, true, &mut gradients)?;
     Ok(gradients)
 }
 
@@ -157,6 +157,18 @@ pub fn backward_into(
     config: &RasterConfig,
     tape: &Tape,
     gradient: &RenderGradient<'_>,
+    into: &mut Gradients,
+) -> Result<()> {
+    run(gaussians, config, tape, gradient, false, into)
+}
+
+/// `fresh`: `into` holds zeros. Reading them would cost a page fault more than writing does.
+fn run(
+    gaussians: &Gaussians,
+    config: &RasterConfig,
+    tape: &Tape,
+    gradient: &RenderGradient<'_>,
+    fresh: bool,
     into: &mut Gradients,
 ) -> Result<()> {
     gaussians.validate()?;
@@ -206,7 +218,7 @@ pub fn backward_into(
             into.background[k] += tile.background[k];
         }
     }
-    pass.gather(&tiles, into);
+    pass.gather(&tiles, fresh, into);
     Ok(())
 }
 
@@ -342,7 +354,7 @@ impl Pass<'_> {
     }
 
     /// Adds the slots of every Gaussian in tile order and carries the sums through the projection.
-    fn gather(&self, tiles: &[TileGradient], into: &mut Gradients) {
+    fn gather(&self, tiles: &[TileGradient], fresh: bool, into: &mut Gradients) {
         let Self {
             gaussians,
             config,
@@ -373,30 +385,27 @@ impl Pass<'_> {
                         }
                     }
                 }
-                let mut camera = chain::CameraGradient::default();
-                let chain = chain::Chain {
-                    gaussians,
-                    view: &tape.view,
-                    config,
+                let rows = chain::Rows {
+                    means,
+                    quats,
+                    scales,
+                    opacities,
+                    colours: colour,
+                    extra,
                 };
-                for (local, sums) in sums.chunks_exact(stride).enumerate() {
-                    if sums.iter().all(|&s| s == 0.0) {
-                        continue;
-                    }
-                    let record = &tape.projection.records[first + local];
-                    let index = record.gaussian as usize;
-                    let row = index - first;
-                    let out = chain::Rows {
-                        mean: &mut means[3 * row..3 * row + 3],
-                        quat: &mut quats[4 * row..4 * row + 4],
-                        scale: &mut scales[3 * row..3 * row + 3],
-                        opacity: &mut opacities[row],
-                        colour: &mut colour[colours * row..colours * (row + 1)],
-                        extra: &mut extra[channels * row..channels * (row + 1)],
-                    };
-                    chain.run(index, record, sums, out, &mut camera);
-                }
-                camera
+                let records = &tape.projection.records[first..first + visible];
+                let view = &tape.view;
+                let kernel = chain::Chain {
+                    gaussians,
+                    view,
+                    config,
+                    records,
+                    sums: &sums,
+                    first,
+                    fresh,
+                    rows,
+                };
+                dispatch(config.simd, kernel)
             })
             .collect();
         for camera in &cameras {

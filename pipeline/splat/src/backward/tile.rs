@@ -71,7 +71,7 @@ impl<const X: usize> WithSimd for Walk<'_, X> {
                 let to = &mut slots[slot * stride..(slot + 1) * stride];
                 if first_pass {
                     for k in 0..MOMENTS {
-                        to[k] += simd.reduce_sum_f32s(sums[k]);
+                        to[k] = simd.reduce_sum_f32s(sums[k]);
                     }
                 } else {
                     for k in 0..6 {
@@ -79,7 +79,7 @@ impl<const X: usize> WithSimd for Walk<'_, X> {
                     }
                 }
                 for k in 0..extra.count {
-                    to[MOMENTS + extra.first + k] += simd.reduce_sum_f32s(sums[MOMENTS + k]);
+                    to[MOMENTS + extra.first + k] = simd.reduce_sum_f32s(sums[MOMENTS + k]);
                 }
             }
         }
