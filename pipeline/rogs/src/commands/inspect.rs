@@ -1,0 +1,75 @@
+//! `rogs inspect`: what a container file holds.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use rogs_schemas::r4c::{InspectReport, inspect};
+use serde::Serialize;
+
+use crate::output;
+
+/// Header, provenance and streams of a `.r4c` file, every checksum verified.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The file.
+    file: PathBuf,
+    /// Print one JSON value.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    let report = inspect(&args.file)?;
+    if args.json {
+        output::json(&report)?;
+    } else {
+        output::text(&describe(&report))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The lower-case name under which an enum value appears in JSON.
+fn word<T: Serialize>(value: &T) -> String {
+    serde_json::to_value(value).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default()
+}
+
+fn describe(report: &InspectReport) -> String {
+    let material = &report.provenance.material;
+    let mut text = String::new();
+    let _ = writeln!(text, "{} {} in container {}, {} bytes", report.schema, report.version, report.container, report.file_bytes);
+    let _ = writeln!(text, "made by    {} (version {})", material.stage, material.stage_version);
+    let _ = writeln!(text, "key        {}", report.key);
+    let _ = writeln!(text, "content    {}", report.content);
+    let _ = writeln!(text, "parameters {}", material.params);
+    for (role, id) in &material.inputs {
+        let _ = writeln!(text, "input      {role} = {id}");
+    }
+    let _ = writeln!(
+        text,
+        "\n{:<28} {:>5} {:>10} {:>14} {:>11} {:>19} {:>12} {:>12} {:>7} {:>12} {:>12} {:>8}",
+        "stream", "type", "shape", "unit", "frame", "codec", "elements", "decoded", "ratio", "min", "max", "NaN"
+    );
+    for stream in &report.streams {
+        let shape: Vec<String> = stream.shape.iter().map(u32::to_string).collect();
+        let ratio = stream.totals.decoded_bytes as f64 / stream.totals.stored_bytes.max(1) as f64;
+        let value = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.5}"));
+        let _ = writeln!(
+            text,
+            "{:<28} {:>5} {:>10} {:>14} {:>11} {:>19} {:>12} {:>12} {:>7.2} {:>12} {:>12} {:>8}",
+            stream.name,
+            word(&stream.dtype),
+            if shape.is_empty() { "1".to_owned() } else { shape.join("x") },
+            word(&stream.unit),
+            word(&stream.frame),
+            word(&stream.codec),
+            stream.totals.elements,
+            stream.totals.decoded_bytes,
+            ratio,
+            value(stream.min),
+            value(stream.max),
+            stream.nan
+        );
+    }
+    text
+}

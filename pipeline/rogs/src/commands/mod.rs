@@ -1,0 +1,67 @@
+//! The commands, one module each.
+
+mod demo;
+mod doctor;
+mod fk;
+mod inspect;
+mod plan;
+mod render;
+mod run;
+mod status;
+mod synth;
+mod table;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Turns robot video rollouts into metric 4D Gaussian worlds: plans, runs, resumes, renders and scores.
+#[derive(Debug, Parser)]
+#[command(name = "rogs", version, arg_required_else_help = true)]
+pub(crate) struct CommandLine {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Demo(demo::Args),
+    #[command(visible_alias = "resume")]
+    Run(run::Args),
+    Plan(plan::Args),
+    /// What is done in a run folder, what failed and why, what is left.
+    Status(status::Args),
+    /// Reads every output of a run folder completely and checks it against the plan.
+    Verify(status::Args),
+    /// Makes the report of a run folder anew.
+    Report(status::Args),
+    Table(table::Args),
+    Synth(synth::Args),
+    Render(render::Args),
+    Inspect(inspect::Args),
+    Fk(fk::Args),
+    Doctor(doctor::Args),
+    /// JSON schema of the manifest, for editors.
+    Schema,
+}
+
+pub(crate) fn run(command_line: CommandLine) -> anyhow::Result<ExitCode> {
+    match command_line.command {
+        Command::Demo(args) => demo::run(&args),
+        Command::Synth(args) => synth::run(&args),
+        Command::Run(args) => run::run(&args),
+        Command::Plan(args) => plan::run(&args),
+        Command::Status(args) => status::show_status(&args),
+        Command::Verify(args) => status::show_verify(&args),
+        Command::Report(args) => status::make_report(&args),
+        Command::Table(args) => table::run(&args),
+        Command::Render(args) => render::run(&args),
+        Command::Inspect(args) => inspect::run(&args),
+        Command::Fk(args) => fk::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
+        Command::Schema => {
+            crate::output::json(&rogs_orchestrator::manifest::Manifest::json_schema())?;
+            Ok(ExitCode::SUCCESS)
+        }
+    }
+}

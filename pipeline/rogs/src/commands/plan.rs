@@ -1,0 +1,74 @@
+//! `rogs plan`: what a run would do and why, without doing it.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use rogs_orchestrator::estimate::estimate;
+
+use super::run::Machine;
+use crate::output;
+
+/// Shows what a run would make, how long and how large it will be, and with `--explain` why each output is not up to date.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The manifest (TOML), or a run folder.
+    manifest: PathBuf,
+    #[command(flatten)]
+    machine: Machine,
+    /// Say for every output that is not up to date what differs: old and new value.
+    #[arg(long)]
+    explain: bool,
+    /// Explain only this clip.
+    #[arg(long, value_name = "CLIP", requires = "explain")]
+    clip: Option<String>,
+    /// Print one JSON value.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    let prepared = args.machine.prepare(&args.manifest)?;
+    let plan = &prepared.plan;
+    if args.explain {
+        let clips = match &args.clip {
+            Some(clip) => vec![plan.find_clip(clip)?],
+            None => (0..plan.clips.len()).collect(),
+        };
+        let explanations: Vec<_> = clips.into_iter().flat_map(|clip| plan.explain_clip(clip)).collect();
+        if args.json {
+            output::json(&explanations)?;
+        } else if explanations.is_empty() {
+            output::text("everything is up to date")?;
+        } else {
+            let mut text = String::new();
+            for explanation in &explanations {
+                let _ = writeln!(text, "{explanation}");
+            }
+            output::text(&text)?;
+        }
+        return Ok(ExitCode::SUCCESS);
+    }
+    let estimate = estimate(plan, &prepared.options)?;
+    if args.json {
+        output::json(&estimate)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let mut text = format!("{}: {} clips, {} units\n", estimate.name, estimate.clips, plan.unit_count());
+    for node in &estimate.nodes {
+        let _ = writeln!(text, "  {:<24} {:>7} up to date {:>7} to make", node.node, node.up_to_date, node.todo);
+    }
+    match estimate.seconds {
+        Some(seconds) => writeln!(text, "about {seconds:.0} s with {} workers", estimate.workers)?,
+        None => writeln!(text, "no estimate of time: some stage has not run here yet")?,
+    }
+    if let (Some(need), Some(free)) = (estimate.disk_bytes, estimate.free_bytes) {
+        let _ = writeln!(text, "about {:.2} GiB to write, {:.1} GiB free", gib(need), gib(free));
+    }
+    output::text(&text)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn gib(bytes: u64) -> f64 {
+    bytes as f64 / f64::from(1 << 30)
+}

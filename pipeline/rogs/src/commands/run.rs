@@ -1,0 +1,140 @@
+//! `rogs run`: plan, run what is not up to date, report.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use rogs_orchestrator::executor::RunSummary;
+use rogs_orchestrator::programs::StagePrograms;
+use rogs_orchestrator::{Interrupts, Prepared};
+use serde::Serialize;
+
+use crate::output;
+use crate::run_report::RunResults;
+
+/// Runs a manifest, or goes on with a run folder: makes every output that is missing or stale, then the report.
+///
+/// It may be killed at any moment; the same command goes on and ends with the same bytes.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The manifest (TOML), or a run folder.
+    manifest: PathBuf,
+    #[command(flatten)]
+    machine: Machine,
+    /// Run only these clips.
+    #[arg(long, value_name = "CLIP")]
+    only: Vec<String>,
+    /// Make no report.
+    #[arg(long)]
+    no_report: bool,
+    /// Print one JSON value.
+    #[arg(long)]
+    json: bool,
+}
+
+/// How the work is spread over this machine; nothing here changes a result.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub(crate) struct Machine {
+    /// Worker processes at a time.
+    #[arg(long)]
+    pub(crate) workers: Option<usize>,
+    /// Threads of each worker.
+    #[arg(long)]
+    pub(crate) threads: Option<usize>,
+    /// Folder with programs `rogs-STAGE` to use instead of the stages inside this program.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) programs: Option<PathBuf>,
+}
+
+/// What a finished run prints as JSON.
+#[derive(Debug, Serialize)]
+pub(crate) struct RunOutcome {
+    #[serde(flatten)]
+    pub(crate) summary: RunSummary,
+    /// The report's page.
+    pub(crate) report: Option<PathBuf>,
+}
+
+impl Machine {
+    /// A plan with the command line's wishes laid over the manifest's.
+    pub(crate) fn prepare(&self, manifest: &Path) -> rogs_orchestrator::Result<Prepared> {
+        let programs = match &self.programs {
+            Some(folder) => StagePrograms::Directory(folder.clone()),
+            None => StagePrograms::this_program()?,
+        };
+        let mut prepared = Prepared::load(manifest, programs.clone())?;
+        let options = &mut prepared.options;
+        if self.programs.is_some() {
+            options.programs = programs;
+        }
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        match (self.workers, self.threads) {
+            (Some(workers), Some(threads)) => (options.workers, options.threads) = (workers.max(1), threads.max(1)),
+            (Some(workers), None) => {
+                options.workers = workers.max(1);
+                options.threads = (cores / options.workers).max(1);
+            }
+            (None, Some(threads)) => {
+                options.threads = threads.max(1);
+                options.workers = (cores / options.threads).max(1);
+            }
+            (None, None) => {}
+        }
+        Ok(prepared)
+    }
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    let mut prepared = args.machine.prepare(&args.manifest)?;
+    if !args.only.is_empty() {
+        let clips: rogs_orchestrator::Result<Vec<usize>> =
+            args.only.iter().map(|clip| prepared.plan.find_clip(clip)).collect();
+        prepared.options.only = Some(clips?);
+    }
+    let outcome = execute(&mut prepared, !args.no_report)?;
+    if args.json {
+        output::json(&outcome)?;
+    } else {
+        output::text(&describe(&outcome))?;
+    }
+    Ok(ExitCode::from(outcome.summary.exit.code()))
+}
+
+/// Runs a plan and makes its report.
+pub(crate) fn execute(prepared: &mut Prepared, report: bool) -> anyhow::Result<RunOutcome> {
+    prepared.options.interrupts = Interrupts::install()?;
+    let summary = prepared.run()?;
+    let report = if report { Some(RunResults::read(&summary.run)?.write()?) } else { None };
+    Ok(RunOutcome { summary, report })
+}
+
+/// The outcome for people.
+pub(crate) fn describe(outcome: &RunOutcome) -> String {
+    use std::fmt::Write as _;
+    let RunOutcome { summary, report } = outcome;
+    let (units, clips) = (&summary.units, &summary.clips);
+    let mut text = String::new();
+    for failure in &summary.failures {
+        let _ = writeln!(text, "failed: {} at {}: {}", failure.clip, failure.node, failure.failure.message);
+        if let Some(hint) = &failure.failure.hint {
+            let _ = writeln!(text, "  hint: {hint}");
+        }
+    }
+    let _ = writeln!(
+        text,
+        "{}: {} of {} clips done, {} failed; {} units made, {} were up to date, {} failed, {} blocked, {} left; {:.1} s",
+        summary.name,
+        clips.done,
+        clips.total,
+        clips.failed,
+        units.made,
+        units.up_to_date,
+        units.failed,
+        units.blocked,
+        units.left,
+        summary.seconds
+    );
+    if let Some(report) = report {
+        let _ = writeln!(text, "report: {}", report.display());
+    }
+    text
+}

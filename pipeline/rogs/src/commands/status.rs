@@ -1,0 +1,81 @@
+//! `rogs status`, `rogs verify`, `rogs report`: questions to a run folder.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use rogs_orchestrator::Exit;
+use rogs_orchestrator::status::status;
+use rogs_orchestrator::verify::verify;
+
+use crate::output;
+use crate::run_report::RunResults;
+
+/// A run folder to look at.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The run folder.
+    run: PathBuf,
+    /// Print one JSON value.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What is done, what failed and why, what is left.
+pub(crate) fn show_status(args: &Args) -> anyhow::Result<ExitCode> {
+    let status = status(&args.run)?;
+    if args.json {
+        output::json(&status)?;
+        return Ok(ExitCode::from(status.exit.code()));
+    }
+    let clips = &status.clips;
+    let mut text = format!(
+        "{}{}: {} of {} clips done, {} failed\n",
+        status.name,
+        if status.active { " (running)" } else { "" },
+        clips.done,
+        clips.total,
+        clips.failed
+    );
+    for node in &status.nodes {
+        let _ = writeln!(
+            text,
+            "  {:<24} {:>7} done {:>7} to do {:>5} failed {:>5} blocked",
+            node.node, node.done, node.todo, node.failed, node.blocked
+        );
+    }
+    for failure in &status.failures {
+        let _ = writeln!(text, "failed: {} at {}: {}", failure.clip, failure.node, failure.failure.message);
+        if let Some(hint) = &failure.failure.hint {
+            let _ = writeln!(text, "  hint: {hint}");
+        }
+    }
+    output::text(&text)?;
+    Ok(ExitCode::from(status.exit.code()))
+}
+
+/// Reads every output completely and checks it against the plan.
+pub(crate) fn show_verify(args: &Args) -> anyhow::Result<ExitCode> {
+    let found = verify(&args.run)?;
+    if args.json {
+        output::json(&found)?;
+    } else {
+        let mut text = format!("{} outputs are good, {} missing, {} bad\n", found.good, found.missing, found.bad.len());
+        for bad in &found.bad {
+            let _ = writeln!(text, "bad: {}: {}", bad.output.display(), bad.what);
+        }
+        output::text(&text)?;
+    }
+    Ok(ExitCode::from(if found.bad.is_empty() { Exit::Done } else { Exit::Failed }.code()))
+}
+
+/// Makes the report of a run folder anew.
+pub(crate) fn make_report(args: &Args) -> anyhow::Result<ExitCode> {
+    let report = RunResults::read(&args.run)?.write()?;
+    if args.json {
+        output::json(&serde_json::json!({ "report": report }))?;
+    } else {
+        output::text(&format!("report: {}", report.display()))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,100 @@
+//! `rogs synth`: procedural episodes with exact references, and a manifest that runs them.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::Context as _;
+use rogs_schemas::records::robot::RobotSpec;
+use rogs_synth::{DatasetSummary, EPISODES_FOLDER, ROBOT_FOLDER, ROBOT_SPEC_FILE, ROBOT_URDF_FILE, Resolution, SynthConfig, write_dataset_with};
+
+use crate::output;
+
+/// Name of the manifest beside a dataset.
+pub(crate) const MANIFEST_NAME: &str = "manifest.toml";
+
+/// Makes procedural robot episodes with exact depth, tracks and calibration, and `manifest.toml` to run them.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Folder of the dataset; episodes that are in it already are kept.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Number of episodes.
+    #[arg(long, default_value_t = 4)]
+    episodes: u32,
+    /// Seed of the first episode; the others follow.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Frames of an episode.
+    #[arg(long, default_value_t = 33)]
+    frames: u32,
+    /// Size of all images, WIDTHxHEIGHT; clips are lifted at this size, so both must be multiples of 14.
+    #[arg(long, default_value = "280x154", value_parser = parse_size)]
+    size: [u32; 2],
+    /// Print one JSON value.
+    #[arg(long)]
+    json: bool,
+}
+
+/// `WIDTHxHEIGHT` as `[height, width]`.
+fn parse_size(text: &str) -> Result<[u32; 2], String> {
+    let parts = text.split_once('x').and_then(|(width, height)| Some([height.parse().ok()?, width.parse().ok()?]));
+    match parts {
+        Some([height, width]) if height > 0 && width > 0 && height % 14 == 0 && width % 14 == 0 => Ok([height, width]),
+        _ => Err("write WIDTHxHEIGHT with multiples of 14, for example 280x154".to_owned()),
+    }
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    let (summary, manifest) = make(&args.out, "synth", args.episodes, args.seed, args.frames, args.size)?;
+    if args.json {
+        output::json(&serde_json::json!({ "dataset": summary, "manifest": manifest }))?;
+    } else {
+        output::text(&format!(
+            "{} episodes of {} frames, {} new\nrun them: rogs run {}",
+            summary.episodes.len(),
+            summary.frames,
+            summary.written,
+            manifest.display()
+        ))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Writes a dataset and its manifest; both are kept when they are there.
+pub(crate) fn make(
+    folder: &Path,
+    name: &str,
+    episodes: u32,
+    seed: u64,
+    frames: u32,
+    size: [u32; 2],
+) -> anyhow::Result<(DatasetSummary, PathBuf)> {
+    let config = SynthConfig {
+        frames,
+        resolution: Resolution { wrist: size, external: size },
+        ..SynthConfig::default()
+    };
+    let done = |path: &Path| output::note(&format!("episode {}", path.display()));
+    let summary = write_dataset_with(folder, episodes, seed, &config, &done)?;
+    let manifest = folder.join(MANIFEST_NAME);
+    if !manifest.exists() {
+        let text = manifest_text(folder, name, size)?;
+        rogs_schemas::atomic::write_bytes(&manifest, text.as_bytes())?;
+    }
+    Ok((summary, manifest))
+}
+
+fn manifest_text(folder: &Path, name: &str, [height, width]: [u32; 2]) -> anyhow::Result<String> {
+    let path = folder.join(ROBOT_FOLDER).join(ROBOT_SPEC_FILE);
+    let spec = std::fs::read_to_string(&path).with_context(|| format!("reading `{}`", path.display()))?;
+    let spec: RobotSpec = serde_json::from_str(&spec).with_context(|| format!("reading `{}`", path.display()))?;
+    Ok(format!(
+        "# Procedural episodes through every stage. Run it with: rogs run {MANIFEST_NAME}\n\
+         [run]\nname = \"{name}\"\nout = \"run\"\n\n\
+         [input]\nroot = \"{EPISODES_FOLDER}\"\n\n\
+         [robot]\nurdf = \"{ROBOT_FOLDER}/{ROBOT_URDF_FILE}\"\n\n\
+         [robot.spec]\n{}\n\
+         [ingest]\nheight = {height}\nwidth = {width}\n",
+        toml::to_string(&spec)?
+    ))
+}

@@ -1,0 +1,148 @@
+//! The whole program on procedural episodes: outputs, resume, failures, determinism.
+
+mod support;
+
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use support::{ROGS, Workspace};
+
+/// Output files of one clip of the main run.
+const FILES: [&str; 7] =
+    ["clip.r4c", "robot.r4c", "conditioning.r4c", "field-1.r4c", "field-2.r4c", "scores-1.r4c", "scores-2.r4c"];
+
+#[test]
+fn a_run_makes_every_output_and_a_second_run_makes_none() {
+    let workspace = Workspace::with_episodes(1);
+    let (code, first) = workspace.rogs_json(&["run", "manifest.toml", "--json"]);
+    assert_eq!(code, Some(0), "{first:#}");
+    assert_eq!(first["units"]["made"], FILES.len());
+    let outputs = workspace.outputs("run");
+    assert_eq!(outputs.len(), FILES.len());
+    for file in FILES {
+        assert!(outputs.keys().any(|path| path.ends_with(file)), "{file} is missing");
+    }
+
+    // The report is one self-contained page with pictures, the scores, and the warning about untrained weights.
+    let report = std::fs::read_to_string(first["report"].as_str().unwrap()).unwrap();
+    assert!(report.contains("data:image/jpeg;base64,"));
+    assert!(report.contains("UNTRAINED WEIGHTS"));
+    assert!(!report.contains("http://") && !report.contains("https://") && !report.contains("<script"));
+
+    // Both methods have scores; what has no reference (LPIPS without weights) is null, what has one is a number.
+    let (_, scores) = workspace.rogs_json(&["table", "run", "--table", "main", "--json"]);
+    let text = scores.to_string();
+    assert!(text.contains("stage1"), "{text}");
+
+    let (code, second) = workspace.rogs_json(&["run", "manifest.toml", "--json"]);
+    assert_eq!(code, Some(0));
+    assert_eq!(second["units"]["made"], 0);
+    assert_eq!(second["units"]["up_to_date"], FILES.len());
+    assert_eq!(workspace.outputs("run"), outputs);
+
+    // Deleting any file is safe: it is made again, with the same bytes.
+    let (path, bytes) = outputs.iter().find(|(path, _)| path.ends_with("robot.r4c")).unwrap();
+    std::fs::remove_file(workspace.path("run").join(path)).unwrap();
+    let (code, third) = workspace.rogs_json(&["run", "run", "--json"]);
+    assert_eq!((code, third["units"]["made"].as_u64()), (Some(0), Some(1)), "{third:#}");
+    assert_eq!(&workspace.outputs("run")[path], bytes);
+}
+
+#[test]
+fn outputs_do_not_depend_on_threads() {
+    let workspace = Workspace::with_episodes(1);
+    let mut runs = Vec::new();
+    for threads in ["1", "2"] {
+        let out = format!("run-{threads}");
+        workspace.manifest("threads.toml", &out);
+        let (code, summary) =
+            workspace.rogs_json(&["run", "threads.toml", "--workers", "1", "--threads", threads, "--no-report", "--json"]);
+        assert_eq!(code, Some(0), "{summary:#}");
+        runs.push(workspace.outputs(&out));
+    }
+    for (path, bytes) in &runs[0] {
+        assert!(runs[1][path] == *bytes, "{} differs between 1 and 2 threads", path.display());
+    }
+}
+
+#[test]
+fn one_corrupt_episode_among_three() {
+    let workspace = Workspace::with_episodes(3);
+    let episodes = workspace.path("data/episodes");
+    let mut folders: Vec<_> = std::fs::read_dir(&episodes).unwrap().map(|entry| entry.unwrap().path()).collect();
+    folders.retain(|path| path.is_dir());
+    folders.sort();
+    assert_eq!(folders.len(), 3);
+    // A joint angle that is no number, in row 3 of the middle episode.
+    let states = std::fs::read_dir(&folders[1])
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .find(|path| path.extension().is_some_and(|extension| extension == "csv"))
+        .unwrap();
+    let text = std::fs::read_to_string(&states).unwrap();
+    let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
+    // The clip starts at frame 7 or later only in long episodes; damage a row inside it.
+    let row = lines.len() / 2;
+    let comma = lines[row].find(',').unwrap();
+    lines[row] = format!("nan{}", &lines[row][comma..]);
+    std::fs::write(&states, lines.join("\n") + "\n").unwrap();
+
+    let (code, summary) = workspace.rogs_json(&["run", "manifest.toml", "--json"]);
+    assert_eq!(code, Some(3), "some clips done, one failed: {summary:#}");
+    assert_eq!(summary["clips"]["done"], 2);
+    assert_eq!(summary["clips"]["failed"], 1);
+    let message = summary["failures"][0].to_string();
+    assert!(message.contains(".csv") || message.contains("row"), "the message names the place: {message}");
+    let report = std::fs::read_to_string(summary["report"].as_str().unwrap()).unwrap();
+    assert!(report.contains("<h2>Failures</h2>"));
+
+    let (code, status) = workspace.rogs_json(&["status", "run", "--json"]);
+    assert_eq!(code, Some(3));
+    assert_eq!(status["clips"]["failed"], 1);
+}
+
+/// Kills the whole process group of a run at random moments, goes on, and compares with an undisturbed run.
+#[test]
+#[cfg(unix)]
+#[ignore = "long: ten kills and resumes with 1 and with 2 threads"]
+fn killed_runs_resume_to_the_same_bytes() {
+    use std::os::unix::process::CommandExt as _;
+
+    let workspace = Workspace::with_episodes(2);
+    let started = std::time::Instant::now();
+    let (code, _) = workspace.rogs_json(&["run", "manifest.toml", "--no-report", "--json"]);
+    assert_eq!(code, Some(0));
+    let whole = started.elapsed();
+    let expected = workspace.outputs("run");
+
+    for threads in ["1", "2"] {
+        let out = format!("killed-{threads}");
+        workspace.manifest("killed.toml", &out);
+        // A generator of our own, so that the moments are the same in every run of the test.
+        let mut state = 0x9e37_79b9_7f4a_7c15u64;
+        for _ in 0..10 {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            let share = (state >> 40) as f64 / f64::from(1 << 24);
+            let mut child = Command::new(ROGS)
+                .args(["run", "killed.toml", "--threads", threads, "--no-report"])
+                .current_dir(workspace.path("."))
+                .stdout(Stdio::null())
+                .stderr(Stdio::null())
+                .process_group(0)
+                .spawn()
+                .unwrap();
+            std::thread::sleep(whole.mul_f64(0.3 * share).max(Duration::from_millis(20)));
+            let _ = Command::new("kill").args(["-KILL", "--", &format!("-{}", child.id())]).status().unwrap();
+            child.wait().unwrap();
+        }
+        let (code, summary) =
+            workspace.rogs_json(&["run", "killed.toml", "--threads", threads, "--no-report", "--json"]);
+        assert_eq!(code, Some(0), "{summary:#}");
+        let outputs = workspace.outputs(&out);
+        assert_eq!(outputs.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>());
+        for (path, bytes) in &expected {
+            assert!(outputs[path] == *bytes, "{} differs after ten kills with {threads} threads", path.display());
+        }
+        assert_eq!(workspace.leftovers(&out), Vec::<std::path::PathBuf>::new());
+    }
+}
