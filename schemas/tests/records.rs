@@ -71,7 +71,7 @@ fn another_schema_is_refused() {
 fn contradictions_are_refused_on_writing() {
     let scratch = Scratch::new("contradictions");
     let path = scratch.file("a.r4c");
-    let mut refused = |what: &str, change: &dyn Fn(&mut Clip)| {
+    let refused = |what: &str, change: &dyn Fn(&mut Clip)| {
         let mut clip = common::clip();
         change(&mut clip);
         let error = write_record(&path, &clip, &common::provenance("clip")).unwrap_err();
