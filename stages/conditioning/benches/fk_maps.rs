@@ -1,1 +1,266 @@
-fn main() {}
+//! FK conditioning maps of 15 source views and 8 query times at 280x154 beside numpy in the same run (goal G-FKMAP: dense
+//! at least 6 times the best peer, 10 times is the target; sparse at least 20 times).
+
+use std::path::Path;
+use std::process::Command;
+use std::time::Instant;
+
+use rayon::ThreadPoolBuilder;
+use rayon::prelude::*;
+use rogs_conditioning::fk_maps::{LinkDisplacement, SourcePoints, fill_dense_batch, link_displacement};
+use rogs_geometry::{Camera, Link, Pinhole, Pose, Recon};
+use rogs_schemas::Intrinsics;
+
+const VIEWS: usize = 15;
+const QUERIES: usize = 8;
+const W: u32 = 280;
+const H: u32 = 154;
+const LINKS: usize = 18;
+const AREA: usize = (W * H) as usize;
+const NO_LINK: u8 = 255;
+
+/// The data both sides compute from.
+struct Workload {
+    camera: Pinhole,
+    ids: Vec<u8>,
+    depth: Vec<f32>,
+    recon_from_camera: Vec<Pose<Recon, Camera>>,
+    source: Vec<Pose<Recon, Link>>,
+    query: Vec<Pose<Recon, Link>>,
+}
+
+fn main() {
+    for cover in [0.13, 0.6] {
+        println!("{:.0} % of the pixels show the robot", cover * 100.0);
+        measure(&workload(cover));
+    }
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    println!(
+        "{}",
+        status
+            .lines()
+            .find(|line| line.starts_with("VmHWM"))
+            .unwrap_or("no peak memory known")
+    );
+}
+
+/// A compact robot on the left of the image, its links in bands.
+fn workload(cover: f64) -> Workload {
+    let mut state = 7u64;
+    let mut next = move || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f64 / f64::from(1u32 << 24)
+    };
+    let focal = 0.83 * f64::from(W);
+    let intrinsics = Intrinsics {
+        fx: focal,
+        fy: focal,
+        cx: f64::from(W) / 2.0,
+        cy: f64::from(H) / 2.0,
+    };
+    let mut poses = |count: usize| -> Vec<[[f64; 3]; 2]> {
+        (0..count)
+            .map(|_| [[0; 3].map(|_| next() - 0.5), [0; 3].map(|_| next() * 3.0)])
+            .collect()
+    };
+    let (cameras, source, query) = (poses(VIEWS), poses(VIEWS * LINKS), poses(QUERIES * LINKS));
+    let columns = (f64::from(W) * cover) as u32;
+    let link_of = |pixel: u32| {
+        if pixel % W < columns {
+            (pixel / W * LINKS as u32 / H) as u8
+        } else {
+            NO_LINK
+        }
+    };
+    let ids: Vec<u8> = (0..VIEWS).flat_map(|_| (0..AREA as u32).map(link_of)).collect();
+    let depth = ids
+        .iter()
+        .map(|&id| {
+            if id == NO_LINK {
+                0.0
+            } else {
+                (0.4 + 1.1 * next()) as f32
+            }
+        })
+        .collect();
+    let link_pose = |numbers: &[[f64; 3]; 2]| Pose::<Recon, Link>::from_xyz_euler(numbers[0], numbers[1]);
+    Workload {
+        camera: Pinhole {
+            intrinsics,
+            width: W,
+            height: H,
+        },
+        ids,
+        depth,
+        recon_from_camera: cameras
+            .iter()
+            .map(|numbers| Pose::from_xyz_euler(numbers[0], numbers[1]))
+            .collect(),
+        source: source.iter().map(link_pose).collect(),
+        query: query.iter().map(link_pose).collect(),
+    }
+}
+
+impl Workload {
+    fn points(&self, view: usize) -> SourcePoints {
+        let range = view * AREA..(view + 1) * AREA;
+        let support: Vec<u8> = self.ids[range.clone()]
+            .iter()
+            .map(|&id| u8::from(id != NO_LINK))
+            .collect();
+        SourcePoints::new(
+            &self.camera,
+            &self.recon_from_camera[view],
+            &self.depth[range.clone()],
+            &self.ids[range],
+            &support,
+        )
+    }
+
+    fn links(&self, map: usize) -> Vec<LinkDisplacement> {
+        let (view, query) = (map / QUERIES, map % QUERIES);
+        let pair =
+            |link: usize| link_displacement(&self.source[view * LINKS + link], &self.query[query * LINKS + link]);
+        (0..LINKS).map(pair).collect()
+    }
+
+    /// Everything from poses and depth to displacements on supported pixels. `[S][Q, M, 3]`
+    fn sparse(&self) -> Vec<Vec<f32>> {
+        let view = |view: usize| {
+            let points = self.points(view);
+            let size = 3 * points.pixels.len();
+            let mut out = vec![0.0f32; QUERIES * size];
+            for (query, out) in out.chunks_exact_mut(size).enumerate() {
+                points.displace(&self.links(view * QUERIES + query), out);
+            }
+            out
+        };
+        (0..VIEWS).into_par_iter().map(view).collect()
+    }
+
+    /// The same into dense maps, `[S, Q, 5, H, W]`.
+    fn dense(&self, out: &mut [f32]) {
+        let points: Vec<SourcePoints> = (0..VIEWS).into_par_iter().map(|view| self.points(view)).collect();
+        let links: Vec<Vec<LinkDisplacement>> = (0..VIEWS * QUERIES).map(|map| self.links(map)).collect();
+        fill_dense_batch(&points, &links, QUERIES, AREA, out);
+    }
+}
+
+fn measure(workload: &Workload) {
+    let size = VIEWS * QUERIES * 5 * AREA;
+    let mut out = vec![0.0f32; size];
+    let mut ours = [[0.0; 2]; 3];
+    for threads in [1usize, 2] {
+        let pool = ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("a thread pool");
+        let sparse = milliseconds(25, || drop(std::hint::black_box(pool.install(|| workload.sparse()))));
+        let dense = milliseconds(15, || pool.install(|| workload.dense(&mut out)));
+        let fresh = milliseconds(9, || {
+            let mut out = vec![0.0f32; size];
+            pool.install(|| workload.dense(&mut out));
+            std::hint::black_box(out);
+        });
+        let fill = milliseconds(9, || {
+            pool.install(|| {
+                out.par_chunks_mut(5 * AREA)
+                    .for_each(|map| map.fill(std::hint::black_box(0.0)))
+            })
+        });
+        println!(
+            "  {threads} thread(s): sparse {:.2} ms (best {:.2}), dense into a kept buffer {:.2} (best {:.2}), into a new one {:.2} (best {:.2}), bare fill {:.2} (best {:.2})",
+            sparse[0], sparse[1], dense[0], dense[1], fresh[0], fresh[1], fill[0], fill[1]
+        );
+        ours = [sparse, dense, fresh];
+        pool.install(|| workload.dense(&mut out));
+    }
+    report_peer(workload, &out[(QUERIES + 2) * 5 * AREA..][..5 * AREA], ours);
+}
+
+fn milliseconds(runs: usize, mut work: impl FnMut()) -> [f64; 2] {
+    work();
+    let mut times: Vec<f64> = (0..runs)
+        .map(|_| {
+            let start = Instant::now();
+            work();
+            start.elapsed().as_secs_f64() * 1e3
+        })
+        .collect();
+    times.sort_by(f64::total_cmp);
+    [times[times.len() / 2], times[0]]
+}
+
+fn report_peer(workload: &Workload, map: &[f32], ours: [[f64; 2]; 3]) {
+    let Some(python) = std::env::var_os("ROGS_PEER_PYTHON") else {
+        println!("  peers skipped: set ROGS_PEER_PYTHON to a Python with numpy");
+        return;
+    };
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    write_workload(workload, folder.path());
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/peers/fk_maps.py");
+    let output = Command::new(python)
+        .arg(script)
+        .arg(folder.path())
+        .output()
+        .expect("the peer runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    for line in String::from_utf8_lossy(&output.stdout).lines() {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let [name, median, least, memory] = words.as_slice() else {
+            continue;
+        };
+        let number = |text: &str| text.parse::<f64>().unwrap_or(f64::NAN);
+        let times = |ours: [f64; 2]| format!("{:.1} ({:.1})", number(median) / ours[0], number(least) / ours[1]);
+        let theirs = std::fs::read(folder.path().join(format!("{name}.map"))).unwrap_or_default();
+        let (theirs, _) = theirs.as_chunks::<4>();
+        let worst = theirs
+            .iter()
+            .zip(map)
+            .map(|(a, b)| (f32::from_le_bytes(*a) - b).abs())
+            .fold(0.0, f32::max);
+        println!(
+            "  {name}: {median} ms (best {least}), {memory} MiB; times as fast: sparse {}, dense {}, dense new {}; differs by {worst:.1e}",
+            times(ours[0]),
+            times(ours[1]),
+            times(ours[2])
+        );
+    }
+}
+
+fn write_workload(workload: &Workload, folder: &Path) {
+    let write =
+        |name: &str, bytes: Vec<u8>| std::fs::write(folder.join(name), bytes).expect("the workload can be written");
+    let floats = |values: &mut dyn Iterator<Item = f32>| values.flat_map(f32::to_le_bytes).collect::<Vec<u8>>();
+    let sizes = [VIEWS, QUERIES, H as usize, W as usize, LINKS];
+    write(
+        "sizes.i64",
+        sizes.iter().flat_map(|&size| (size as i64).to_le_bytes()).collect(),
+    );
+    write("ids.u8", workload.ids.clone());
+    write("depth.f32", floats(&mut workload.depth.iter().copied()));
+    write(
+        "focal.f32",
+        floats(&mut [workload.camera.intrinsics.fx as f32].into_iter()),
+    );
+    let matrix = |matrix: [f64; 16]| matrix.map(|value| value as f32);
+    write(
+        "camera.f32",
+        floats(
+            &mut workload
+                .recon_from_camera
+                .iter()
+                .flat_map(|pose| matrix(pose.to_matrix4())),
+        ),
+    );
+    write(
+        "source.f32",
+        floats(&mut workload.source.iter().flat_map(|pose| matrix(pose.to_matrix4()))),
+    );
+    write(
+        "query.f32",
+        floats(&mut workload.query.iter().flat_map(|pose| matrix(pose.to_matrix4()))),
+    );
+}

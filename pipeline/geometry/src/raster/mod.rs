@@ -10,6 +10,8 @@ mod clip;
 mod draw;
 mod project;
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use rayon::prelude::*;
 use rogs_schemas::records::robot::{NO_LINK, RobotSpec};
 
@@ -27,6 +29,11 @@ use project::ScreenVertices;
 pub const MAX_SIDE: u32 = 4096;
 /// Value of [`MeshImage::triangle`] where nothing is hit.
 pub const NO_TRIANGLE: u32 = u32::MAX;
+
+/// Triangles that a thread takes at a time.
+const BATCH: usize = 2048;
+/// Pixels that a thread resolves at a time.
+const RESOLVE_CHUNK: usize = 16_384;
 
 /// The meshes of a robot, each in the frame of its link.
 #[derive(Debug, Clone, Default)]
@@ -211,11 +218,11 @@ impl<'a> Renderer<'a> {
                 what: format!("link {highest} has no pose, {} are given", camera_from_link.len()),
             });
         }
-        self.screen.project(scene, camera, camera_from_link, options);
-        let area = (camera.width * camera.height) as usize;
         let pieces = threads.clamp(1, 64);
+        self.screen
+            .project(scene, camera, camera_from_link, options, pieces > 1);
+        let area = (camera.width * camera.height) as usize;
         self.layers.resize_with(pieces.max(self.layers.len()), Vec::new);
-        let per_piece = scene.triangles.len().div_ceil(pieces);
         let context = draw::Context {
             scene,
             screen: &self.screen,
@@ -223,18 +230,24 @@ impl<'a> Renderer<'a> {
             camera_from_link,
             options,
         };
-        let fill = |(piece, layer): (usize, &mut Vec<u64>)| {
+        // Pieces take the next batch when they are done with one; who draws what does not matter to the result.
+        let next = AtomicUsize::new(0);
+        let fill = |layer: &mut Vec<u64>| {
             layer.clear();
             layer.resize(area, EMPTY);
-            let first = (piece * per_piece).min(scene.triangles.len());
-            let end = (first + per_piece).min(scene.triangles.len());
-            context.draw(first..end, layer);
+            loop {
+                let first = next.fetch_add(BATCH, Ordering::Relaxed);
+                if first >= scene.triangles.len() {
+                    break;
+                }
+                context.draw(first..(first + BATCH).min(scene.triangles.len()), layer);
+            }
         };
         let layers = &mut self.layers[..pieces];
         if pieces == 1 {
-            fill((0, &mut layers[0]));
+            fill(&mut layers[0]);
         } else {
-            layers.par_iter_mut().enumerate().for_each(fill);
+            layers.par_iter_mut().for_each(fill);
         }
         Ok(resolve(scene, camera, layers))
     }
@@ -262,16 +275,9 @@ fn check(camera: &Pinhole, options: &RenderOptions) -> Result<()> {
     Ok(())
 }
 
-/// Merges the layers (the nearest surface of all) and splits the keys into depth, link and triangle.
-fn resolve(scene: &MeshScene, camera: &Pinhole, layers: &mut [Vec<u64>]) -> MeshImage {
+/// Takes the nearest surface of all layers and splits its key into depth, link and triangle.
+fn resolve(scene: &MeshScene, camera: &Pinhole, layers: &[Vec<u64>]) -> MeshImage {
     let area = (camera.width * camera.height) as usize;
-    let (nearest, others) = layers.split_at_mut(1);
-    let nearest = &mut nearest[0];
-    for other in others {
-        for (key, &candidate) in nearest.iter_mut().zip(other.iter()) {
-            *key = (*key).min(candidate);
-        }
-    }
     let mut image = MeshImage {
         width: camera.width,
         height: camera.height,
@@ -279,13 +285,34 @@ fn resolve(scene: &MeshScene, camera: &Pinhole, layers: &mut [Vec<u64>]) -> Mesh
         link: vec![NO_LINK; area],
         triangle: vec![NO_TRIANGLE; area],
     };
-    for (pixel, &key) in nearest.iter().enumerate() {
-        if key != EMPTY {
-            let triangle = key as u32;
-            image.depth_m[pixel] = f32::from_bits((key >> 32) as u32);
-            image.link[pixel] = scene.triangle_link[triangle as usize];
-            image.triangle[pixel] = triangle;
+    let fill = |(chunk, ((depth, link), triangle)): (usize, ((&mut [f32], &mut [u8]), &mut [u32]))| {
+        let first = chunk * RESOLVE_CHUNK;
+        for pixel in 0..depth.len() {
+            let nearest = layers.iter().map(|layer| layer[first + pixel]).min().unwrap_or(EMPTY);
+            if nearest != EMPTY {
+                let number = nearest as u32;
+                depth[pixel] = f32::from_bits((nearest >> 32) as u32);
+                link[pixel] = scene.triangle_link[number as usize];
+                triangle[pixel] = number;
+            }
         }
+    };
+    let MeshImage {
+        depth_m,
+        link,
+        triangle,
+        ..
+    } = &mut image;
+    if layers.len() == 1 {
+        fill((0, ((depth_m, link), triangle)));
+    } else {
+        let planes = depth_m
+            .par_chunks_mut(RESOLVE_CHUNK)
+            .zip(link.par_chunks_mut(RESOLVE_CHUNK));
+        planes
+            .zip(triangle.par_chunks_mut(RESOLVE_CHUNK))
+            .enumerate()
+            .for_each(fill);
     }
     image
 }

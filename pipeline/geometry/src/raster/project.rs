@@ -1,5 +1,7 @@
 //! Vertices to fixed-point image coordinates.
 
+use rayon::prelude::*;
+
 use super::{MeshScene, RenderOptions};
 use crate::camera::Pinhole;
 use crate::transform::{Camera, Link, Pose};
@@ -81,6 +83,16 @@ fn round(value: f64) -> i32 {
     (value + ROUNDING).to_bits() as i32
 }
 
+/// Vertices that a thread projects at a time.
+const CHUNK: usize = 4096;
+
+/// A run of vertices of one part with the place of their results.
+struct Chunk<'a> {
+    pose: [[f64; 4]; 3],
+    input: [&'a [f32]; 3],
+    output: (&'a mut [i32], &'a mut [i32], &'a mut [f32]),
+}
+
 impl ScreenVertices {
     pub(super) fn project(
         &mut self,
@@ -88,36 +100,52 @@ impl ScreenVertices {
         camera: &Pinhole,
         camera_from_link: &[Pose<Camera, Link>],
         options: &RenderOptions,
+        parallel: bool,
     ) {
         let count = scene.x.len();
         self.x.resize(count, 0);
         self.y.resize(count, 0);
         self.inverse_z.resize(count, 0.0);
         let pinhole = FixedPinhole::new(camera);
-        let mut all_inside = true;
-        for part in &scene.parts {
-            let range = part.vertices.clone();
-            let input = [
-                &scene.x[range.clone()],
-                &scene.y[range.clone()],
-                &scene.z[range.clone()],
-            ];
-            let output = (
-                &mut self.x[range.clone()],
-                &mut self.y[range.clone()],
-                &mut self.inverse_z[range],
-            );
-            let pose = matrix(&camera_from_link[part.link as usize]);
-            // Same operations in the same order for every instruction set: no fused multiply-add is introduced.
-            all_inside &= pulp::Arch::new().dispatch(|| project_part(input, output, &pose, pinhole, options.near_m));
-        }
+        let arch = pulp::Arch::new();
+        // Same operations in the same order for every instruction set: no fused multiply-add is introduced.
+        let run = |chunk: Chunk<'_>| {
+            arch.dispatch(|| project_chunk(chunk.input, chunk.output, &chunk.pose, pinhole, options.near_m))
+        };
+        let chunks = self.chunks(scene, camera_from_link);
+        let all_inside = if parallel {
+            chunks.into_par_iter().map(run).reduce(|| true, |a, b| a & b)
+        } else {
+            chunks.into_iter().map(run).fold(true, |a, b| a & b)
+        };
         self.any_clipped = !all_inside;
+    }
+
+    fn chunks<'a>(&'a mut self, scene: &'a MeshScene, camera_from_link: &[Pose<Camera, Link>]) -> Vec<Chunk<'a>> {
+        let mut chunks = Vec::new();
+        let (mut xs, mut ys, mut zs) = (&mut self.x[..], &mut self.y[..], &mut self.inverse_z[..]);
+        for part in &scene.parts {
+            let pose = matrix(&camera_from_link[part.link as usize]);
+            for start in part.vertices.clone().step_by(CHUNK) {
+                let range = start..(start + CHUNK).min(part.vertices.end);
+                let output;
+                (output, (xs, ys, zs)) = {
+                    let (x, rest_x) = xs.split_at_mut(range.len());
+                    let (y, rest_y) = ys.split_at_mut(range.len());
+                    let (z, rest_z) = zs.split_at_mut(range.len());
+                    ((x, y, z), (rest_x, rest_y, rest_z))
+                };
+                let input = [&scene.x[range.clone()], &scene.y[range.clone()], &scene.z[range]];
+                chunks.push(Chunk { pose, input, output });
+            }
+        }
+        chunks
     }
 }
 
-/// Projects the vertices of one part; true when none needs clipping.
+/// Projects a run of vertices; true when none needs clipping.
 #[inline(always)]
-fn project_part(
+fn project_chunk(
     [xs, ys, zs]: [&[f32]; 3],
     (out_x, out_y, out_inverse_z): (&mut [i32], &mut [i32], &mut [f32]),
     pose: &[[f64; 4]; 3],
