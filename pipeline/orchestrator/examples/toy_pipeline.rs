@@ -10,6 +10,9 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
+use rogs_orchestrator::executor::ProgressMode;
+use rogs_orchestrator::programs::StagePrograms;
+use rogs_orchestrator::{Error, Exit, Interrupts, Prepared};
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::record::{Record, SchemaId};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates};
@@ -533,8 +536,35 @@ fn list(root: &Path) -> std::io::Result<String> {
     Ok(serde_json::Value::Array(episodes).to_string())
 }
 
+/// `toy_pipeline run|submit MANIFEST WORKERS THREADS`: the orchestrator as a process of its own, for tests that kill it.
+fn run(arguments: &[OsString]) -> ExitCode {
+    let number = |index: usize| arguments[index].to_string_lossy().parse().unwrap_or(1);
+    let result = StagePrograms::this_program().and_then(|programs| {
+        let mut prepared = Prepared::load(Path::new(&arguments[1]), programs)?;
+        (prepared.options.workers, prepared.options.threads) = (number(2), number(3));
+        prepared.options.interrupts = Interrupts::install().map_err(|error| Error::usage(error.to_string()))?;
+        prepared.options.progress = ProgressMode::Lines;
+        if arguments[0] == "submit" {
+            let submission = rogs_orchestrator::slurm::submit(&prepared, None, false)?;
+            println!("ids {:?}, shards {:?}", submission.ids, submission.shards);
+            return Ok(Exit::Done);
+        }
+        Ok(prepared.run()?.exit)
+    });
+    match result {
+        Ok(exit) => ExitCode::from(exit.code()),
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::from(error.exit().code())
+        }
+    }
+}
+
 fn main() -> ExitCode {
     let mut arguments: Vec<OsString> = std::env::args_os().skip(1).collect();
+    if arguments.len() == 4 && (arguments[0] == "run" || arguments[0] == "submit") {
+        return run(&arguments);
+    }
     if arguments.len() < 2 || arguments[0] != "stage" {
         // `cargo test` starts examples without arguments nowhere; a person gets told.
         eprintln!("usage: toy_pipeline stage NAME one|worker|describe ...");

@@ -21,25 +21,33 @@
 //! | `status` | [`status::status`] | [`status::Status`] |
 //! | `report` | [`report::write_report`] over a [`report::ReportInput`] that the caller fills | - |
 //! | `verify` | [`verify::verify`] | [`verify::Verification`] |
+//! | `plan --emit jsonl` | [`export::export`] | [`export::Export`] |
+//! | `submit` (Slurm) | [`slurm::submit`] | [`slurm::Submission`] |
+//! | `gc`, `diff`, `logs` | [`gc::collect`], [`diff::diff`], [`logs::logs`] | [`gc::Collected`], [`diff::Difference`], `[Attempt]` |
 //! | `schema` | [`manifest::Manifest::json_schema`] | the JSON schema itself |
 //!
 //! Every failure to go on is an [`Error`] with [`Error::hint`] and [`Error::exit`]; failures of clips are values.
 //! Errors print as `error: {error}`, then `hint: {hint}`.
 
 pub mod diagnose;
+pub mod diff;
 pub mod error;
 pub mod estimate;
 pub mod executor;
 pub mod exit;
 pub mod explain;
+pub mod export;
+pub mod gc;
 pub mod glob;
 pub mod ledger;
 pub mod lock;
+pub mod logs;
 pub mod manifest;
 pub mod plan;
 pub mod prepare;
 pub mod programs;
 pub mod report;
+pub mod slurm;
 pub mod sources;
 pub mod state;
 pub mod status;

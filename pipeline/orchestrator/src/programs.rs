@@ -30,12 +30,43 @@ pub struct ListedEpisode {
     pub episode_id: String,
     /// Which importer reads it.
     pub layout: String,
+    /// The dataset's folder below the root; ingest gets this folder.
+    #[serde(default)]
+    pub folder: PathBuf,
+    /// Name for people, where the id is none; may be empty.
+    #[serde(default)]
+    pub name: String,
     /// What ingest needs to pick it out of the folder; empty when the folder is the episode.
     #[serde(default)]
     pub selector: String,
     /// The files it is made of, below the folder.
     #[serde(default)]
     pub files: Vec<PathBuf>,
+}
+
+impl ListedEpisode {
+    /// True when a person means this episode by `text`: its id, its name, or its selector, alone or after its folder.
+    #[must_use]
+    pub fn is_called(&self, text: &str) -> bool {
+        self.names().any(|name| name == text)
+    }
+
+    /// True when a pattern fits one of its names.
+    #[must_use]
+    pub fn fits(&self, pattern: &str) -> bool {
+        self.names().any(|name| crate::glob::matches(pattern, &name))
+    }
+
+    fn names(&self) -> impl Iterator<Item = String> + '_ {
+        let within = self.folder.join(&self.selector).to_string_lossy().into_owned();
+        let names = [
+            self.episode_id.clone(),
+            self.name.clone(),
+            self.selector.clone(),
+            within,
+        ];
+        names.into_iter().filter(|name| !name.is_empty())
+    }
 }
 
 impl StagePrograms {
@@ -103,7 +134,7 @@ impl StagePrograms {
         )?;
         let mut episodes: Vec<ListedEpisode> = serde_json::from_slice(&output)
             .map_err(|error| self.error("ingest", format!("`list` answers no list of episodes: {error}")))?;
-        episodes.sort_by(|a, b| (&a.episode_id, &a.selector).cmp(&(&b.episode_id, &b.selector)));
+        episodes.sort_by(|a, b| (&a.episode_id, &a.folder, &a.selector).cmp(&(&b.episode_id, &b.folder, &b.selector)));
         Ok(episodes)
     }
 

@@ -24,6 +24,8 @@ pub(crate) struct BatchArguments {
     /// Must be that of the plan, when given.
     pub(crate) shards: Option<u32>,
     pub(crate) grace: Duration,
+    /// Exit 0 although units failed for good.
+    pub(crate) keep_going: bool,
 }
 
 /// Environment variables in which engines put the index, in the order they are asked.
@@ -35,6 +37,7 @@ struct Counts {
     made: usize,
     up_to_date: usize,
     failed: usize,
+    blocked: usize,
     temporary: usize,
 }
 
@@ -54,20 +57,29 @@ pub(crate) fn batch<S: Stage>(arguments: &BatchArguments) -> StageResult<ExitCod
             counts.up_to_date += 1;
             continue;
         }
+        if let Some(missing) = missing_input::<S>(unit) {
+            counts.blocked += 1;
+            eprintln!(
+                "{} {}: blocked: its input {missing} is missing",
+                unit.job.clip_id,
+                S::NAME
+            );
+            continue;
+        }
         run_unit(&mut runner, unit, &mut counts);
     }
     let Counts {
         made,
         up_to_date,
         failed,
+        blocked,
         temporary,
     } = counts;
-    eprintln!(
-        "{} shard {shard}: {made} made, {up_to_date} up to date, {failed} failed",
-        S::NAME
-    );
-    Ok(ExitCode::from(match (temporary, failed) {
+    let name = S::NAME;
+    eprintln!("{name} shard {shard}: {made} made, {up_to_date} up to date, {failed} failed, {blocked} blocked");
+    Ok(ExitCode::from(match (temporary, failed + blocked) {
         (0, 0) => EXIT_OK,
+        (0, _) if arguments.keep_going => EXIT_OK,
         (0, _) => EXIT_FAILED,
         _ => EXIT_TEMPORARY,
     }))
@@ -127,6 +139,15 @@ fn run_unit<S: Stage>(runner: &mut Runner<S>, unit: &PlannedUnit, counts: &mut C
             eprintln!("warning: {error}");
         }
     }
+}
+
+/// The output of a stage before that is not there: that stage failed on the clip, or has not run.
+fn missing_input<S: Stage>(unit: &PlannedUnit) -> Option<String> {
+    let records = S::inputs().into_iter().filter(|input| input.kind.starts_with("rogs."));
+    records.into_iter().find_map(|input| {
+        let path = unit.job.inputs.get(&input.role)?;
+        (!path.exists()).then(|| format!("`{}` ({})", input.role, path.display()))
+    })
 }
 
 fn up_to_date(unit: &PlannedUnit) -> bool {

@@ -10,14 +10,13 @@ use super::build::normalise_overrides;
 use super::{Clip, Plan, Source};
 use crate::diagnose::Text;
 use crate::error::{Result, did_you_mean};
-use crate::glob;
 use crate::manifest::{Episode, Input, Manifest, Params, safe_name};
 use crate::programs::{ListedEpisode, StagePrograms};
 use crate::sources::SourceCache;
 
 /// One episode that was asked for, before its content is known.
 struct Asked<'a> {
-    root: &'a Path,
+    root: PathBuf,
     listed: ListedEpisode,
     id: Option<&'a str>,
     calibration: Option<&'a PathBuf>,
@@ -63,7 +62,7 @@ pub(super) fn add_clips(
     }
     let contents: Vec<_> = asked
         .par_iter()
-        .map(|asked| sources.episode(asked.root, &asked.listed.files))
+        .map(|asked| sources.episode(&asked.root, &asked.listed.files))
         .collect();
     for (((asked, id), content), ingest) in asked.iter().zip(ids).zip(contents).zip(normalised) {
         let calibration = match asked.calibration {
@@ -74,7 +73,7 @@ pub(super) fn add_clips(
             id,
             episode: asked.listed.episode_id.clone(),
             layout: asked.listed.layout.clone(),
-            root: position_or_push(&mut plan.roots, asked.root.to_owned()),
+            root: position_or_push(&mut plan.roots, asked.root.clone()),
             selector: asked.listed.selector.clone(),
             content: content?,
             calibration,
@@ -114,10 +113,7 @@ impl Listings<'_> {
 fn pick<'a>(episode: &'a Episode, listed: &[ListedEpisode], text: &Text) -> Result<Asked<'a>> {
     let found: Vec<&ListedEpisode> = match &episode.select {
         None => listed.iter().collect(),
-        Some(select) => listed
-            .iter()
-            .filter(|listed| listed.episode_id == *select || listed.selector == *select)
-            .collect(),
+        Some(select) => listed.iter().filter(|listed| listed.is_called(select)).collect(),
     };
     let [listed] = found[..] else {
         let names = || {
@@ -155,7 +151,7 @@ fn pick<'a>(episode: &'a Episode, listed: &[ListedEpisode], text: &Text) -> Resu
         }));
     };
     Ok(Asked {
-        root: &episode.root,
+        root: folder_of(&episode.root, listed),
         listed: listed.clone(),
         id: episode.id.as_deref(),
         calibration: episode.calibration.as_ref(),
@@ -163,20 +159,25 @@ fn pick<'a>(episode: &'a Episode, listed: &[ListedEpisode], text: &Text) -> Resu
     })
 }
 
+/// The folder that ingest gets for an episode.
+fn folder_of(root: &Path, listed: &ListedEpisode) -> PathBuf {
+    let inside = listed
+        .folder
+        .components()
+        .filter(|part| matches!(part, std::path::Component::Normal(_)));
+    inside.fold(root.to_owned(), |path, part| path.join(part))
+}
+
 /// The episodes that an `[input]` table takes.
 fn filter<'a>(input: &'a Input, listed: &[ListedEpisode]) -> Vec<Asked<'a>> {
-    let any = |patterns: &[String], listed: &ListedEpisode| {
-        let fits =
-            |pattern: &String| glob::matches(pattern, &listed.episode_id) || glob::matches(pattern, &listed.selector);
-        patterns.iter().any(fits)
-    };
+    let any = |patterns: &[String], listed: &ListedEpisode| patterns.iter().any(|pattern| listed.fits(pattern));
     let taken = listed.iter().filter(|listed| {
         input.layout.as_ref().is_none_or(|layout| *layout == listed.layout)
             && (input.include.is_empty() || any(&input.include, listed))
             && !any(&input.exclude, listed)
     });
     let make = |listed: &ListedEpisode| Asked {
-        root: &input.root,
+        root: folder_of(&input.root, listed),
         listed: listed.clone(),
         id: None,
         calibration: input.calibration.as_ref(),
@@ -204,11 +205,14 @@ fn names(asked: &[Asked<'_>], text: &Text) -> Result<Vec<String>> {
             ids.push(id.to_owned());
             continue;
         }
-        if !seen.insert((asked.root, asked.listed.selector.as_str())) {
+        if !seen.insert((&asked.root, asked.listed.selector.as_str())) {
             let message = format!("the episode `{}` is named twice", asked.listed.episode_id);
             return Err(text.error(&["episodes"], message).with_hint("give each its own `id`"));
         }
-        let mut id = safe_name(&asked.listed.episode_id);
+        let name = [&asked.listed.name, &asked.listed.episode_id]
+            .into_iter()
+            .find(|name| !name.is_empty());
+        let mut id = safe_name(name.map_or("episode", String::as_str));
         if taken.contains_key(&id.to_lowercase()) {
             // Of the folder only its name, so that moving the data does not rename clips.
             let folder = asked.root.file_name().map(|name| name.to_string_lossy().into_owned());

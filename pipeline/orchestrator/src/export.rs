@@ -1,0 +1,149 @@
+//! The plan as one self-contained line a unit, for engines that start processes on other machines.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use rogs_schemas::ledger::PlannedUnit;
+use serde::Serialize;
+
+use crate::error::{Result, io};
+use crate::plan::{Plan, Unit};
+use crate::programs::StagePrograms;
+
+/// What was exported and how to run it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Export {
+    /// The file.
+    pub plan: PathBuf,
+    /// Lines in it.
+    pub units: usize,
+    /// Shards.
+    pub shards: u32,
+    /// One command a stage and shard, in an order in which what they need comes first. All commands of a stage may run
+    /// at the same time; the next stage of a shard needs the stage before of the same shard.
+    pub commands: Vec<Vec<String>>,
+}
+
+/// Shard of a clip: slices of equal length in the order of the plan. The plan file freezes it, so a longer plan moves
+/// no unit of an older file.
+#[must_use]
+pub fn shard_of(clip: usize, clips: usize, shards: u32) -> u32 {
+    (clip as u64 * u64::from(shards) / clips.max(1) as u64) as u32
+}
+
+/// Stages of a plan in pipeline order, each once.
+#[must_use]
+pub fn stages(plan: &Plan) -> Vec<&str> {
+    let mut stages: Vec<&str> = Vec::new();
+    for node in &plan.nodes {
+        if !stages.contains(&node.stage.as_str()) {
+            stages.push(&node.stage);
+        }
+    }
+    stages
+}
+
+/// Writes the units of a plan, one JSON line each.
+///
+/// # Errors
+/// The error of the writer.
+pub fn write_units(plan: &Plan, shards: u32, out: &mut dyn Write) -> std::io::Result<usize> {
+    let mut number = 0;
+    for clip in 0..plan.clips.len() {
+        let keys = plan.keys(clip);
+        let shard = shard_of(clip, plan.clips.len(), shards);
+        for node in 0..plan.nodes.len() {
+            let job = plan.job(number, Unit { clip, node }, &keys);
+            let unit = PlannedUnit {
+                shard,
+                shards,
+                run: plan.run.clone(),
+                job,
+            };
+            serde_json::to_writer(&mut *out, &unit)?;
+            out.write_all(b"\n")?;
+            number += 1;
+        }
+    }
+    Ok(number as usize)
+}
+
+/// Freezes the plan, writes its units to `file`, and tells the commands that run them.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn export(plan: &Plan, programs: &StagePrograms, shards: u32, file: &Path) -> Result<Export> {
+    let shards = shards.clamp(1, plan.clips.len().max(1) as u32);
+    plan.freeze()?;
+    let file = std::path::absolute(file).map_err(io("cannot find", file))?;
+    let mut units = 0;
+    rogs_schemas::atomic::write_with(&file, |out| {
+        let mut out = std::io::BufWriter::new(out);
+        units = write_units(plan, shards, &mut out)?;
+        out.flush()
+    })?;
+    let command = |stage: &str, shard: u32| batch_command(programs, stage, &file, &shard.to_string(), shards);
+    let commands = stages(plan)
+        .into_iter()
+        .flat_map(|stage| (0..shards).map(move |shard| command(stage, shard)));
+    Ok(Export {
+        commands: commands.collect(),
+        plan: file.clone(),
+        units,
+        shards,
+    })
+}
+
+/// The command that runs one shard of one stage.
+pub(crate) fn batch_command(
+    programs: &StagePrograms,
+    stage: &str,
+    file: &Path,
+    shard: &str,
+    shards: u32,
+) -> Vec<String> {
+    let mut words = programs.words(stage);
+    words.extend(["batch".to_owned(), "--plan".to_owned(), file.display().to_string()]);
+    words.extend([
+        "--shard-index".to_owned(),
+        shard.to_owned(),
+        "--shard-count".to_owned(),
+        shards.to_string(),
+    ]);
+    words
+}
+
+/// Words as one line for a shell.
+#[must_use]
+pub fn shell_line(words: &[String]) -> String {
+    words.iter().map(|word| shell_word(word)).collect::<Vec<_>>().join(" ")
+}
+
+/// A word that a POSIX shell takes as it is.
+pub(crate) fn shell_word(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,@%".contains(c);
+    if !word.is_empty() && word.chars().all(plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', "'\\''"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shards_are_slices_of_even_length() {
+        let shards: Vec<u32> = (0..10).map(|clip| shard_of(clip, 10, 3)).collect();
+        assert_eq!(shards, [0, 0, 0, 0, 1, 1, 1, 2, 2, 2]);
+        assert_eq!(shard_of(0, 0, 1), 0);
+    }
+
+    #[test]
+    fn words_survive_a_shell() {
+        assert_eq!(shell_word("/a/b-c"), "/a/b-c");
+        assert_eq!(shell_word("it's a $HOME"), "'it'\\''s a $HOME'");
+        assert_eq!(shell_word(""), "''");
+    }
+}

@@ -1,0 +1,245 @@
+//! Handing work to other engines: exported plans, Slurm scripts, and keeping house.
+
+mod common;
+
+use std::path::Path;
+use std::process::Command;
+
+use common::{Workspace, example, programs};
+use rogs_orchestrator::{Exit, diff, export, gc, logs, slurm, status};
+
+fn run_commands(commands: &[Vec<String>]) -> Vec<i32> {
+    let run = |words: &Vec<String>| {
+        Command::new(&words[0])
+            .args(&words[1..])
+            .output()
+            .unwrap()
+            .status
+            .code()
+            .unwrap()
+    };
+    commands.iter().map(run).collect()
+}
+
+#[test]
+fn an_exported_plan_gives_the_same_bytes_as_a_local_run() {
+    let (local, exported) = (Workspace::new(), Workspace::new());
+    local.run();
+    let prepared = exported.prepare();
+    let export = export::export(&prepared.plan, &programs(), 2, &exported.path("units.jsonl")).unwrap();
+    assert_eq!((export.units, export.shards, export.commands.len()), (21, 2, 12));
+    assert_eq!(run_commands(&export.commands), [0; 12]);
+    assert!(local.outputs() == exported.outputs());
+    let status = status::status(&exported.run_folder()).unwrap();
+    assert_eq!((status.exit, status.clips.done), (Exit::Done, 3));
+    // Again: everything is up to date, nothing is written.
+    let before = std::fs::metadata(exported.run_folder().join("clips/a/field-1.r4c"))
+        .unwrap()
+        .modified()
+        .unwrap();
+    assert_eq!(run_commands(&export.commands), [0; 12]);
+    assert_eq!(
+        before,
+        std::fs::metadata(exported.run_folder().join("clips/a/field-1.r4c"))
+            .unwrap()
+            .modified()
+            .unwrap()
+    );
+    let difference = diff::diff(&local.run_folder(), &exported.run_folder()).unwrap();
+    assert_eq!((difference.same, difference.exit()), (21, Exit::Done));
+}
+
+#[test]
+fn shards_tell_how_they_ended() {
+    let workspace = Workspace::new();
+    workspace.episode("a", "fail@robot-maps");
+    let prepared = workspace.prepare();
+    let export = export::export(&prepared.plan, &programs(), 1, &workspace.path("units.jsonl")).unwrap();
+    assert_eq!(
+        run_commands(&export.commands),
+        [0, 1, 1, 1, 1, 1],
+        "failed, then blocked"
+    );
+    let status = status::status(&workspace.run_folder()).unwrap();
+    assert_eq!(
+        (status.clips.done, status.clips.failed, status.failures.len()),
+        (2, 1, 1)
+    );
+    assert!(status.nodes[2].blocked == 1, "{:?}", status.nodes);
+    let mut going = export.commands[2].clone();
+    going.push("--keep-going".into());
+    assert_eq!(run_commands(&[going]), [0]);
+    // A wrong shard, a wrong count, a broken plan: usage errors.
+    let stage = |arguments: &[&str]| {
+        let words = ["stage", "lift", "batch", "--plan"].iter().chain(arguments);
+        Command::new(example("toy_pipeline")).args(words).output().unwrap()
+    };
+    let units = workspace.path("units.jsonl").display().to_string();
+    assert_eq!(stage(&[&units, "--shard-index", "7"]).status.code(), Some(2));
+    assert_eq!(
+        stage(&[&units, "--shard-index", "0", "--shard-count", "9"])
+            .status
+            .code(),
+        Some(2)
+    );
+    assert_eq!(stage(&[&units, "--shard-index", "auto"]).status.code(), Some(2));
+    workspace.write("broken.jsonl", "{}\n");
+    let broken = workspace.path("broken.jsonl").display().to_string();
+    let output = stage(&[&broken, "--shard-index", "0"]);
+    assert!(String::from_utf8_lossy(&output.stderr).contains("line 1"), "{output:?}");
+}
+
+/// Text with the folder of the test and the program's place taken out.
+fn plain(text: &str, workspace: &Workspace) -> String {
+    let place = workspace.path("").display().to_string();
+    text.replace(&example("toy_pipeline").display().to_string(), "rogs")
+        .replace(place.trim_end_matches('/'), "/work")
+}
+
+const SLURM: &str = "[slurm]\nshards = 3\nat-once = 2\npartition = \"batch\"\ntime = \"01:00:00\"\nsetup = [\"module load ffmpeg\"]\n\
+                     [slurm.cpus]\nlift = 2\n[slurm.memory]\nlift = \"8 GiB\"\n[slurm.gres]\nlift = \"gpu:1\"\n";
+
+#[test]
+fn a_dry_run_prints_the_scripts_and_touches_nothing() {
+    let workspace = Workspace::new();
+    workspace.manifest(SLURM);
+    let prepared = workspace.prepare();
+    let finally = [
+        "rogs".to_owned(),
+        "report".to_owned(),
+        prepared.plan.run.display().to_string(),
+    ];
+    let submission = slurm::submit(&prepared, Some(&finally), true).unwrap();
+    assert!(!workspace.run_folder().exists());
+    let text = plain(&submission.text(), &workspace);
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/slurm.txt");
+    if std::env::var_os("UPDATE_SNAPSHOTS").is_some() {
+        std::fs::create_dir_all(golden.parent().unwrap()).unwrap();
+        std::fs::write(&golden, &text).unwrap();
+    }
+    let expected = std::fs::read_to_string(&golden).expect("tests/golden/slurm.txt; UPDATE_SNAPSHOTS=1 writes it");
+    assert_eq!(text, expected);
+}
+
+#[test]
+fn submissions_chain_the_arrays_and_the_next_one_is_sparse() {
+    let workspace = Workspace::new();
+    workspace.episode("b", "fail@lift");
+    workspace.manifest(SLURM);
+    // A stand-in for Slurm: runs each script's elements at once and prints an id.
+    let bin = workspace.path("bin");
+    let sbatch = "#!/bin/sh\nprintf '%s\\n' \"$*\" >> \"$FAKE_LOG\"\nfor last; do :; done\n\
+        for index in $(sed -n 's/^#SBATCH --array=//p' \"$last\" | sed 's/%.*//; s/0-2/0,1,2/; s/,/ /g'); do\n\
+        SLURM_ARRAY_TASK_ID=$index sh \"$last\" >/dev/null 2>&1; done\nwc -l < \"$FAKE_LOG\" | tr -d ' '\n";
+    workspace.write("bin/sbatch", sbatch);
+    Command::new("chmod")
+        .args(["+x"])
+        .arg(bin.join("sbatch"))
+        .status()
+        .unwrap();
+    // `module` is a shell function of real clusters.
+    workspace.write("bin/module", "#!/bin/sh\n");
+    Command::new("chmod")
+        .args(["+x"])
+        .arg(bin.join("module"))
+        .status()
+        .unwrap();
+    let path = std::env::var("PATH").unwrap();
+    // Environment of this test process is shared with others, so the submission runs in a child.
+    let submit = || {
+        let mut command = Command::new(example("toy_pipeline"));
+        command.arg("submit").arg(workspace.path("toy.toml")).args(["1", "1"]);
+        command
+            .env("PATH", format!("{}:{path}", bin.display()))
+            .env("FAKE_LOG", workspace.path("fake.log"));
+        let output = command.output().unwrap();
+        (
+            output.status.code().unwrap(),
+            String::from_utf8_lossy(&output.stdout).into_owned(),
+            output,
+        )
+    };
+    let (code, text, output) = submit();
+    assert_eq!(code, 0, "{output:?}");
+    assert!(text.contains("shards [0, 1, 2]"), "{text}");
+    let calls = std::fs::read_to_string(workspace.path("fake.log")).unwrap();
+    let calls: Vec<&str> = calls.lines().collect();
+    assert_eq!(calls.len(), 6);
+    assert!(
+        !calls[0].contains("dependency") && calls[1].contains("--dependency=aftercorr:1 --kill-on-invalid-dep=yes"),
+        "{calls:?}"
+    );
+    let status = status::status(&workspace.run_folder()).unwrap();
+    assert_eq!((status.clips.done, status.clips.failed), (2, 1));
+    workspace.episode("b", "mended");
+    let (code, text, output) = submit();
+    assert_eq!(code, 0, "{output:?}");
+    assert!(text.contains("shards [1]"), "only what is left is submitted: {text}");
+    assert_eq!(status::status(&workspace.run_folder()).unwrap().clips.done, 3);
+    let (code, _, output) = submit();
+    assert_eq!(code, 2, "nothing to submit: {output:?}");
+}
+
+#[test]
+fn gc_removes_what_no_plan_names_and_nothing_else() {
+    let workspace = Workspace::new();
+    workspace.manifest("[[variants]]\nname = \"v\"\nlift.seed = 1\n");
+    workspace.run();
+    workspace.manifest("");
+    std::fs::remove_file(workspace.path("episodes/c.txt")).unwrap();
+    workspace.write("run/clips/a/.field-1.r4c.4194300.tmp", "half");
+    workspace.write("run/clips/a/notes.txt", "mine");
+    workspace.run();
+    let dry = gc::collect(&workspace.run_folder(), true).unwrap();
+    // Four outputs of the variant in two clips; of the third clip eleven and its log.
+    let leftover = dry
+        .files
+        .iter()
+        .filter(|file| file.extension().is_some_and(|extension| extension == "tmp"))
+        .count();
+    assert_eq!(dry.files.len() - leftover, 8 + 11 + 1, "{:?}", dry.files);
+    assert!(dry.bytes > 0 && workspace.run_folder().join("clips/c").exists());
+    let done = gc::collect(&workspace.run_folder(), false).unwrap();
+    assert_eq!(done.files, dry.files);
+    assert!(!workspace.run_folder().join("clips/c").exists());
+    assert!(workspace.run_folder().join("clips/a/notes.txt").exists());
+    assert_eq!(workspace.run().units.made, 0);
+    assert!(workspace.temporaries().is_empty());
+}
+
+#[test]
+fn diff_names_what_differs() {
+    let (one, two) = (Workspace::new(), Workspace::new());
+    two.manifest("[conditioning]\nsigma_m = 0.2\n");
+    one.run();
+    two.run();
+    let found = diff::diff(&one.run_folder(), &two.run_folder()).unwrap();
+    assert_eq!((found.same, found.exit()), (6, Exit::Failed));
+    let conditioning = found
+        .different
+        .iter()
+        .find(|output| output.output.ends_with("a/conditioning.r4c"))
+        .unwrap();
+    assert_eq!(conditioning.what, ["parameters", "content"]);
+    let lift = found
+        .different
+        .iter()
+        .find(|output| output.output.ends_with("a/field-1.r4c"))
+        .unwrap();
+    assert_eq!(lift.what, ["inputs"], "another input, the same content");
+    assert!(diff::diff(&one.path("episodes"), &two.run_folder()).is_err());
+}
+
+#[test]
+fn logs_tell_what_happened_to_a_clip() {
+    let workspace = Workspace::new();
+    workspace.episode("b", "panic@lift");
+    workspace.run();
+    let attempts = logs::logs(&workspace.run_folder(), "b").unwrap();
+    let last = logs::text(attempts.last().unwrap());
+    assert!(
+        last.contains("failed") && last.contains("a panic in lift") && last.contains("| "),
+        "{last}"
+    );
+    assert!(logs::logs(&workspace.run_folder(), "bb").unwrap_err().hint().is_some());
+}
