@@ -9,6 +9,8 @@ pub(crate) struct TileList {
     pub(crate) records: Vec<u32>,
     /// Slots in depth order, with the depth bits in the high word.
     pub(crate) keys: Vec<u64>,
+    /// Records in depth order.
+    pub(crate) order: Vec<u32>,
     /// First slot of every chunk's entries and the end. `[chunks + 1]`
     pub(crate) segments: Vec<u32>,
     spare: Vec<u64>,
@@ -35,6 +37,9 @@ impl TileList {
             self.segments.push(self.records.len() as u32);
         }
         sort(&mut self.keys, &mut self.spare, low, high);
+        self.order.clear();
+        self.order
+            .extend(self.keys.iter().map(|&key| self.records[(key & 0xffff_ffff) as usize]));
     }
 
     /// Number of entries.
@@ -70,13 +75,16 @@ fn sort(keys: &mut Vec<u64>, spare: &mut Vec<u64>, low: u32, high: u32) {
     let mask = (1_u32 << digit) - 1;
     spare.clear();
     spare.resize(keys.len(), 0);
-    for pass in 0..passes {
-        let shift = pass * digit;
-        let bucket = |key: u64| ((((key >> 32) as u32 - low) >> shift) & mask) as usize;
-        let mut next = [0_u32; 512];
-        for &key in keys.iter() {
-            next[bucket(key)] += 1;
+    let bucket = |key: u64, shift: u32| ((((key >> 32) as u32 - low) >> shift) & mask) as usize;
+    // All histograms in one pass over the keys.
+    let mut next = [[0_u32; 512]; 4];
+    for &key in keys.iter() {
+        for pass in 0..passes {
+            next[pass as usize][bucket(key, pass * digit)] += 1;
         }
+    }
+    for pass in 0..passes {
+        let next = &mut next[pass as usize];
         let mut sum = 0;
         for count in &mut next[..=mask as usize] {
             let here = *count;
@@ -84,7 +92,7 @@ fn sort(keys: &mut Vec<u64>, spare: &mut Vec<u64>, low: u32, high: u32) {
             sum += here;
         }
         for &key in keys.iter() {
-            let slot = &mut next[bucket(key)];
+            let slot = &mut next[bucket(key, pass * digit)];
             spare[*slot as usize] = key;
             *slot += 1;
         }

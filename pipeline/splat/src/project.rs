@@ -279,10 +279,20 @@ fn tail_is_finite(gaussians: &Gaussians, index: usize) -> bool {
 /// Adds the tiles that a Gaussian reaches: those of its bounding box whose nearest point lies inside the level set.
 #[inline(always)]
 fn file(record: &Projected, out: &BlockOut, lane: usize, index: u32, grid: &Grid, entries: &mut Vec<(u32, u64)>) {
-    let [column0, column1, row0, row1] = [0, 1, 2, 3].map(|k| out.tiles[k][lane] as usize);
+    let (column0, column1) = (out.tiles[0][lane] as usize, out.tiles[1][lane] as usize);
+    let (row0, row1) = (out.tiles[2][lane] as usize, out.tiles[3][lane] as usize);
     let key = (u64::from(record.z.to_bits()) << 32) | u64::from(index);
     if column0 == column1 && row0 == row1 {
         entries.push(((row0 * grid.columns + column0) as u32, key));
+        return;
+    }
+    if column0 == column1 || row0 == row1 {
+        // The level set touches all sides of its box, so it reaches every tile of a single row or column.
+        for row in row0..=row1 {
+            for column in column0..=column1 {
+                entries.push(((row * grid.columns + column) as u32, key));
+            }
+        }
         return;
     }
     let tile = grid.tile;

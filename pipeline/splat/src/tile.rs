@@ -61,10 +61,10 @@ impl Batch {
     ) {
         self.count = BATCH.min(list.len() - first);
         for place in soon..(soon + BATCH).min(list.len()) {
-            prefetch(&records[list.records[list.slot(place)] as usize]);
+            prefetch(&records[list.order[place] as usize]);
         }
         for place in 0..self.count {
-            let g = &records[list.records[list.slot(first + place)] as usize];
+            let g = &records[list.order[first + place] as usize];
             let (group, lane) = (place / LANES, place % LANES);
             self.x[group].0[lane] = g.x;
             self.y[group].0[lane] = g.y;
@@ -278,7 +278,7 @@ impl<const X: usize, const TRACE: bool, const CONTRIBUTE: bool> WithSimd for Com
             let mut eligible_bits = 0_u64;
             if CONTRIBUTE {
                 for place in 0..batch.count {
-                    let gaussian = records[list.records[list.slot(first + place)] as usize].gaussian;
+                    let gaussian = records[list.order[first + place] as usize].gaussian;
                     eligible_bits |= u64::from(eligible(gaussian)) << place;
                 }
             }

@@ -66,6 +66,8 @@ struct Output {
     opacity: L,
     /// Rotation 9, translation 3.
     camera: [L; 12],
+    /// 0 where all of the above are finite, not a number elsewhere.
+    check: L,
 }
 
 impl WithSimd for Chain<'_> {
@@ -112,6 +114,11 @@ impl Chain<'_> {
         let opacity = output.opacity[lane];
         let mut pose = output.camera.map(|v| v[lane]);
         let finite = |values: &[f32]| values.iter().fold(0.0_f32, |sum, v| sum + v * 0.0) == 0.0;
+        let extra = &sums[MOMENTS..];
+        if output.check[lane] != 0.0 || (!extra.is_empty() && !finite(extra)) {
+            camera.not_finite += 1;
+            return;
+        }
         let fresh = self.fresh;
         let add = |to: &mut [f32], from: &[f32]| {
             for (to, from) in to.iter_mut().zip(from) {
@@ -136,10 +143,6 @@ impl Chain<'_> {
             let per = colour.len();
             add(&mut self.rows.colours[per * row..per * (row + 1)], colour);
         }
-        if !(finite(&mean) && finite(&quat) && finite(&scale) && finite(&pose) && finite(sums) && finite(&[opacity])) {
-            camera.not_finite += 1;
-            return;
-        }
         if matches!(self.gaussians.colour, Colour::Rgb(_)) {
             add(&mut self.rows.colours[3 * row..3 * row + 3], &sums[6..9]);
         }
@@ -147,8 +150,8 @@ impl Chain<'_> {
         add(&mut self.rows.quats[4 * row..4 * row + 4], &quat);
         add(&mut self.rows.scales[3 * row..3 * row + 3], &scale);
         add(&mut self.rows.opacities[row..=row], &[opacity]);
-        let extra = stride - MOMENTS;
-        add(&mut self.rows.extra[extra * row..extra * (row + 1)], &sums[MOMENTS..]);
+        let channels = extra.len();
+        add(&mut self.rows.extra[channels * row..channels * (row + 1)], extra);
         for k in 0..9 {
             camera.rotation[k] += f64::from(pose[k]);
         }
@@ -239,6 +242,7 @@ impl Output {
             scale: [zero; 3],
             opacity: zero,
             camera: [zero; 12],
+            check: zero,
         }
     }
 }
@@ -368,6 +372,14 @@ fn chain_lanes(input: &Input, view: &View, config: &RasterConfig, out: &mut Outp
             out.quat[k][lane] = g_quat[k];
         }
         out.opacity[lane] = g_opacity;
+        let mut check = g_opacity * 0.0;
+        for k in 0..3 {
+            check += out.mean[k][lane] * 0.0 + out.scale[k][lane] * 0.0 + sum(6 + k) * 0.0;
+        }
+        for k in 0..12 {
+            check += out.camera[k][lane] * 0.0;
+        }
+        out.check[lane] = check + (g_quat[0] * 0.0 + g_quat[1] * 0.0 + g_quat[2] * 0.0 + g_quat[3] * 0.0);
     }
 }
 

@@ -250,8 +250,7 @@ const MOMENTS: usize = 10;
 
 /// Gradients of one tile.
 struct TileGradient {
-    /// Moments and extra channels of every slot. `[slots, MOMENTS + E]`
-    slots: Vec<f32>,
+    slots: tile::Slots,
     background: [f64; 3],
 }
 
@@ -265,8 +264,10 @@ struct Pass<'a> {
 impl Pass<'_> {
     fn tile(&self, tile: &TileOutput) -> TileGradient {
         let channels = self.tape.extra_channels;
-        let stride = MOMENTS + channels;
-        let mut slots = vec![0.0; tile.list.len() * stride];
+        let mut slots = tile::Slots {
+            index: vec![0; tile.list.len()],
+            rows: Vec::new(),
+        };
         let (pixels, background) = self.output_layer(tile);
         for first in (0..channels.max(1)).step_by(EXTRA) {
             let count = EXTRA.min(channels - first.min(channels));
@@ -377,9 +378,13 @@ impl Pass<'_> {
                 let mut sums = vec![0.0_f32; visible * stride];
                 for (tile, gradient) in tape.tiles.iter().zip(tiles) {
                     for slot in tile.list.segment(chunk) {
+                        let row = gradient.slots.index[slot] as usize;
+                        if row == 0 {
+                            continue;
+                        }
                         let local = tile.list.records[slot] as usize - first;
                         let to = &mut sums[local * stride..(local + 1) * stride];
-                        let from = &gradient.slots[slot * stride..(slot + 1) * stride];
+                        let from = &gradient.slots.rows[(row - 1) * stride..row * stride];
                         for (to, from) in to.iter_mut().zip(from) {
                             *to += from;
                         }

@@ -16,7 +16,29 @@ pub(super) struct Walk<'a, const X: usize> {
     pub(super) extra: Extra<'a>,
     pub(super) alpha_max: f32,
     pub(super) pixels: &'a PixelGradient,
-    pub(super) slots: &'a mut [f32],
+    pub(super) slots: &'a mut Slots,
+}
+
+/// Moments and extra channels of the slots that were touched.
+#[derive(Debug, Default)]
+pub(super) struct Slots {
+    /// Row of every slot plus one, 0 for slots without.
+    pub(super) index: Vec<u32>,
+    /// `[rows, MOMENTS + E]`
+    pub(super) rows: Vec<f32>,
+}
+
+impl Slots {
+    /// The values of a slot, zeros where it is new.
+    #[inline(always)]
+    fn row(&mut self, slot: usize, stride: usize) -> &mut [f32] {
+        if self.index[slot] == 0 {
+            self.rows.resize(self.rows.len() + stride, 0.0);
+            self.index[slot] = (self.rows.len() / stride) as u32;
+        }
+        let row = self.index[slot] as usize - 1;
+        &mut self.rows[row * stride..(row + 1) * stride]
+    }
 }
 
 /// State of a block on the way to the front, and its gradient image.
@@ -56,19 +78,15 @@ impl<const X: usize> WithSimd for Walk<'_, X> {
         for number in (0..end.div_ceil(BATCH)).rev() {
             let first = number * BATCH;
             batch.fill(&tile.list, records, first, first.saturating_sub(BATCH), &extra);
-            let reach = &tile.recorded.reach[number];
+            let at = blocks_of(&tile.recorded.reach[number], &blocks[..area.blocks()], first);
             for place in (0..batch.count.min(end - first)).rev() {
-                let mut at = 0_u32;
-                for block in 0..area.blocks() {
-                    let behind_end = (first + place) < blocks[block].last as usize;
-                    at |= ((reach[block] >> place & 1) as u32 & u32::from(behind_end)) << block;
-                }
+                let at = u32::from(at[place]);
                 if at == 0 {
                     continue;
                 }
                 let sums = one::<S, X>(simd, &batch, place, first, alpha_max, at, &mut blocks);
                 let slot = tile.list.slot(first + place);
-                let to = &mut slots[slot * stride..(slot + 1) * stride];
+                let to = slots.row(slot, stride);
                 if first_pass {
                     for k in 0..MOMENTS {
                         to[k] = simd.reduce_sum_f32s(sums[k]);
@@ -84,6 +102,25 @@ impl<const X: usize> WithSimd for Walk<'_, X> {
             }
         }
     }
+}
+
+/// For every Gaussian of a batch, the blocks that it reaches before their last contributor, as bits.
+#[inline(always)]
+fn blocks_of(reach: &[u64; MAX_BLOCKS], blocks: &[Block], first: usize) -> [u16; BATCH] {
+    let mut at = [0_u16; BATCH];
+    for (number, block) in blocks.iter().enumerate() {
+        let ahead = (block.last as usize).saturating_sub(first);
+        let mut remaining = if ahead >= BATCH {
+            reach[number]
+        } else {
+            reach[number] & ((1 << ahead) - 1)
+        };
+        while remaining != 0 {
+            at[remaining.trailing_zeros() as usize] |= 1 << number;
+            remaining &= remaining - 1;
+        }
+    }
+    at
 }
 
 /// One Gaussian over the blocks in `at`.
