@@ -7,16 +7,16 @@ use std::process::{Command, Output};
 use serde_json::Value;
 
 /// The program under test.
-pub const ROGS: &str = env!("CARGO_BIN_EXE_rogs");
+pub(crate) const ROGS: &str = env!("CARGO_BIN_EXE_rogs");
 
 /// A folder that goes away with the value.
-pub struct Workspace {
+pub(crate) struct Workspace {
     folder: tempfile::TempDir,
 }
 
 impl Workspace {
     /// `episodes` procedural episodes in `episodes/`, their robot in `robot/`, and a manifest at a small size.
-    pub fn with_episodes(episodes: usize) -> Self {
+    pub(crate) fn with_episodes(episodes: usize) -> Self {
         let workspace = Self { folder: tempfile::tempdir().unwrap() };
         let dataset = workspace.path("data");
         let made = Command::new(ROGS)
@@ -30,7 +30,7 @@ impl Workspace {
     }
 
     /// Writes a manifest `name` over the procedural episodes with the run folder `out`.
-    pub fn manifest(&self, name: &str, out: &str) {
+    pub(crate) fn manifest(&self, name: &str, out: &str) {
         let written = std::fs::read_to_string(self.path("data/manifest.toml")).unwrap();
         let out = format!("out = {:?}", self.path(out));
         let mut lines: Vec<String> = written.lines().map(|line| line.replace("\"episodes\"", "\"data/episodes\"")).collect();
@@ -45,22 +45,22 @@ impl Workspace {
     }
 
     /// A path inside.
-    pub fn path(&self, relative: &str) -> PathBuf {
+    pub(crate) fn path(&self, relative: &str) -> PathBuf {
         self.folder.path().join(relative)
     }
 
     /// Writes a text file.
-    pub fn write(&self, relative: &str, text: &str) {
+    pub(crate) fn write(&self, relative: &str, text: &str) {
         std::fs::write(self.path(relative), text).unwrap();
     }
 
     /// Runs the program in the folder.
-    pub fn rogs(&self, arguments: &[&str]) -> Output {
+    pub(crate) fn rogs(&self, arguments: &[&str]) -> Output {
         Command::new(ROGS).args(arguments).current_dir(self.folder.path()).output().unwrap()
     }
 
     /// Runs the program and reads its one JSON value.
-    pub fn rogs_json(&self, arguments: &[&str]) -> (Option<i32>, Value) {
+    pub(crate) fn rogs_json(&self, arguments: &[&str]) -> (Option<i32>, Value) {
         let output = self.rogs(arguments);
         let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
         let value = serde_json::from_slice(&output.stdout)
@@ -69,14 +69,14 @@ impl Workspace {
     }
 
     /// Every output file of a run with its bytes, by path.
-    pub fn outputs(&self, run: &str) -> BTreeMap<PathBuf, Vec<u8>> {
+    pub(crate) fn outputs(&self, run: &str) -> BTreeMap<PathBuf, Vec<u8>> {
         let mut files = BTreeMap::new();
         collect(&self.path(run).join("clips"), &self.path(run), &mut files);
         files
     }
 
     /// Names of temporary files left anywhere in a run.
-    pub fn leftovers(&self, run: &str) -> Vec<PathBuf> {
+    pub(crate) fn leftovers(&self, run: &str) -> Vec<PathBuf> {
         let mut all = Vec::new();
         names(&self.path(run), &mut all);
         all.retain(|path| path.extension().is_some_and(|extension| extension == "tmp"));
