@@ -13,6 +13,7 @@ mod params;
 mod refinement;
 mod resume;
 mod source_time;
+pub mod training;
 mod weights;
 
 use std::collections::BTreeMap;

@@ -1,13 +1,15 @@
 //! The recurrent refinement of one clip (`stage2-network.md` section B.7).
 
-use rogs_networks::stage2::{Correction, Plane, TokenSet};
+use rogs_networks::stage2::{Correction, Plane, Refiner, TokenSet};
 use rogs_schemas::key::CacheKey;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::{Field, NamedArray, RAW_CHANNELS};
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::units::iu_from_m;
-use rogs_splat::{Contributions, Eligible, Gaussians, RasterConfig, TimedField, render_views_with_contributions};
+use rogs_splat::{
+    Contributions, Eligible, Gaussians, RasterConfig, Render, TimedField, render_views_with_contributions,
+};
 use rogs_worker::{StageError, StageResult};
 
 use crate::resume::resumed;
@@ -104,8 +106,9 @@ fn beginning(field: &Field, network: &LoadedRefiner, times: &[SourceTime<'_>]) -
     })
 }
 
-/// One update of the Gaussians of one source time: renders the field of `before` (the scene), pools what the error encoder says,
-/// and adds the updater's residuals to `after`. All source times read the same `before`, so their order is irrelevant.
+/// One update of the Gaussians of one source time: renders the field of `before` (the scene), pools what the error
+/// encoder says, and adds the updater's residuals to `after`. All source times read the same `before`, so their order is
+/// irrelevant.
 fn update_source_time(
     inputs: &ClipInputs<'_>,
     network: &LoadedRefiner,
@@ -118,26 +121,50 @@ fn update_source_time(
     phase: &mut dyn FnMut(f64, &str),
 ) -> StageResult<()> {
     let refiner = &network.refiner;
+    let Feedback { set, corrected } = feedback(inputs.field, refiner, params, time, scene, before, phase)?;
+    phase(0.7, "updater");
+    let residuals = refiner.update(&time.grid, set, state).map_err(internal)?;
+    let rows = residuals.chunks_exact(RESIDUAL_CHANNELS);
+    for (gaussian, residual) in corrected.into_iter().zip(rows) {
+        if let Some(gaussian) = gaussian {
+            after.add(gaussian as usize, residual, refiner.gates());
+        }
+    }
+    Ok(())
+}
+
+/// What the renders of one source time say about its Gaussians.
+pub(crate) struct Feedback {
+    /// The tokens with enough contribution.
+    pub(crate) set: TokenSet,
+    /// For every 59 residual channels of the set: the Gaussian they correct. In a token of several Gaussians, those that
+    /// no pixel sees are left alone (`None`).
+    pub(crate) corrected: Vec<Option<u32>>,
+}
+
+/// Renders a source time, encodes the errors and pools them.
+pub(crate) fn feedback(
+    field: &Field,
+    refiner: &Refiner,
+    params: &RefineParams,
+    time: &SourceTime<'_>,
+    scene: Gaussians,
+    before: &Correction,
+    phase: &mut dyn FnMut(f64, &str),
+) -> StageResult<Feedback> {
     let area = time.grid.area();
-    let owned = Eligible::Ranges(
-        time.grid
-            .views()
-            .iter()
-            .map(|&view| view * area..(view + 1) * area)
-            .collect(),
-    );
+    let ranges = time.grid.views().iter().map(|&view| view * area..(view + 1) * area);
+    let owned = Eligible::Ranges(ranges.collect());
     let (renders, contributions) =
         render_views_with_contributions(&scene, &time.cameras, &RasterConfig::default(), &owned).map_err(internal)?;
     drop(scene);
-    let renders: Vec<Plane> = renders
-        .into_iter()
-        .map(|render| Plane {
-            height: render.height,
-            width: render.width,
-            channels: 3,
-            data: render.rgb,
-        })
-        .collect();
+    let as_plane = |render: Render| Plane {
+        height: render.height,
+        width: render.width,
+        channels: 3,
+        data: render.rgb,
+    };
+    let renders: Vec<Plane> = renders.into_iter().map(as_plane).collect();
     phase(0.2, "error features");
     let errors = refiner
         .encoder()
@@ -145,7 +172,7 @@ fn update_source_time(
         .map_err(internal)?;
     phase(0.6, "pooling");
     let (set, mass) = token_set(
-        inputs.field,
+        field,
         params,
         refiner.config().features(),
         time,
@@ -153,20 +180,12 @@ fn update_source_time(
         &contributions,
         errors,
     )?;
-    phase(0.7, "updater");
-    let tokens = set.tokens.clone();
-    let residuals = refiner.update(&time.grid, set, state).map_err(internal)?;
-    let width = refiner.config().residuals();
-    for (&token, residual) in tokens.iter().zip(residuals.chunks_exact(width)) {
-        let members = time.grid.gaussians(token as usize);
-        for (gaussian, residual) in members.zip(residual.chunks_exact(RESIDUAL_CHANNELS)) {
-            // In a token of several Gaussians, those that no pixel sees are left alone.
-            if mass[row_of(&contributions, gaussian)] > params.epsilon {
-                after.add(gaussian, residual, refiner.gates());
-            }
-        }
-    }
-    Ok(())
+    let seen = |gaussian: usize| mass[row_of(&contributions, gaussian)] > params.epsilon;
+    let members = set.tokens.iter().flat_map(|&token| time.grid.gaussians(token as usize));
+    let corrected = members
+        .map(|gaussian| seen(gaussian).then_some(gaussian as u32))
+        .collect();
+    Ok(Feedback { set, corrected })
 }
 
 /// The tokens with enough contribution, their attributes and pooled feedback; and the mass of every owned Gaussian.
@@ -290,11 +309,11 @@ pub(crate) fn state_name(frame: u32) -> String {
 }
 
 /// An error about the field.
-fn bad_field(error: rogs_splat::SplatError) -> StageError {
+pub(crate) fn bad_field(error: rogs_splat::SplatError) -> StageError {
     StageError::bad_input(error.to_string())
 }
 
 /// An error of a library that our own arrays should not have caused.
-fn internal(error: impl std::fmt::Display) -> StageError {
+pub(crate) fn internal(error: impl std::fmt::Display) -> StageError {
     StageError::internal(error.to_string())
 }

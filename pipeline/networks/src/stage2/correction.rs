@@ -125,8 +125,9 @@ impl Correction {
     }
 
     /// Adds a gated residual to one Gaussian and bounds its accumulated position correction. `residual` is `[59]`,
-    /// position in internal units; `gates` are in the order of [`GateGroup::ALL`].
-    pub fn add(&mut self, gaussian: usize, residual: &[f32], gates: [f32; 5]) {
+    /// position in internal units; `gates` are in the order of [`GateGroup::ALL`]. Returns the factor by which the bound
+    /// shortened the position correction, 1 where it did not act.
+    pub fn add(&mut self, gaussian: usize, residual: &[f32], gates: [f32; 5]) -> f32 {
         let row = &mut self.values[gaussian * RESIDUAL_CHANNELS..(gaussian + 1) * RESIDUAL_CHANNELS];
         for (group, gate) in GateGroup::ALL.into_iter().zip(gates) {
             for channel in group.channels() {
@@ -137,10 +138,11 @@ impl Correction {
                 };
             }
         }
-        let position = bounded([row[0], row[1], row[2]], iu_from_m(POSITION_BOUND_M));
-        for (axis, value) in position.into_iter().enumerate() {
-            row[axis] = m_from_iu(value);
+        let shortening = bound_factor([row[0], row[1], row[2]], iu_from_m(POSITION_BOUND_M));
+        for value in &mut row[..3] {
+            *value = m_from_iu(*value * shortening);
         }
+        shortening
     }
 
     /// The updater's 59 attribute channels of one Gaussian at one time: centre 3 (internal units), scale 3, rotation 4,
@@ -175,14 +177,10 @@ pub fn activated_scale(raw: f32) -> f32 {
     (0.001 * (raw.max(0.0) + libm::log1pf(libm::expf(-raw.abs())))).min(0.3)
 }
 
-/// `value` shortened to Euclidean norm `limit` when it is longer.
-fn bounded(value: [f32; 3], limit: f32) -> [f32; 3] {
+/// Factor that shortens `value` to Euclidean norm `limit`, 1 when it is not longer.
+fn bound_factor(value: [f32; 3], limit: f32) -> f32 {
     let norm = (value[0] * value[0] + value[1] * value[1] + value[2] * value[2]).sqrt();
-    if norm <= limit {
-        value
-    } else {
-        value.map(|part| part * (limit / norm))
-    }
+    if norm <= limit { 1.0 } else { limit / norm }
 }
 
 #[cfg(test)]

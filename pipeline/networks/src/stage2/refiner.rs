@@ -59,6 +59,18 @@ impl Refiner {
         &self.encoder
     }
 
+    /// The trained part. Its tensors are those of the parameters, so that gradients reach these.
+    #[must_use]
+    pub fn updater(&self) -> &Updater {
+        &self.updater
+    }
+
+    /// The device of the trained part.
+    #[must_use]
+    pub fn device(&self) -> &burn::tensor::Device {
+        &self.device
+    }
+
     /// The residual gates in the order position, scale, rotation, opacity, harmonics.
     #[must_use]
     pub fn gates(&self) -> [f32; 5] {
