@@ -4,7 +4,11 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap().to_path_buf()
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .ancestors()
+        .nth(2)
+        .unwrap()
+        .to_path_buf()
 }
 
 /// Crate folders below the root, with the names of our crates in their `[dependencies]` (not dev-dependencies).
@@ -24,7 +28,11 @@ fn own_dependencies() -> BTreeMap<String, Vec<String>> {
         let table: toml::Table = text.parse().unwrap();
         let name = table["package"]["name"].as_str().unwrap().to_owned();
         let dependencies = table.get("dependencies").and_then(toml::Value::as_table);
-        let ours = dependencies.into_iter().flatten().map(|(name, _)| name.clone()).filter(|name| name.starts_with("rogs"));
+        let ours = dependencies
+            .into_iter()
+            .flatten()
+            .map(|(name, _)| name.clone())
+            .filter(|name| name.starts_with("rogs"));
         (name, ours.collect())
     };
     manifests.into_iter().map(read).collect()
@@ -63,7 +71,16 @@ fn code_lines(path: &Path) -> Vec<(usize, String)> {
 
 #[test]
 fn dependencies_point_one_way() {
-    let stages = ["ingest", "robot-maps", "conditioning", "lift", "refine", "score", "synth", "train"];
+    let stages = [
+        "ingest",
+        "robot-maps",
+        "conditioning",
+        "lift",
+        "refine",
+        "score",
+        "synth",
+        "train",
+    ];
     let is_stage = |name: &str| name.strip_prefix("rogs-").is_some_and(|name| stages.contains(&name));
     let allowed = |name: &str| -> &[&str] {
         match name {
@@ -71,7 +88,14 @@ fn dependencies_point_one_way() {
             "rogs-geometry" | "rogs-splat" | "rogs-worker" => &["rogs-schemas"],
             "rogs-networks" => &["rogs-schemas", "rogs-splat"],
             "rogs-orchestrator" => &["rogs-schemas", "rogs-random"],
-            _ => &["rogs-schemas", "rogs-random", "rogs-geometry", "rogs-splat", "rogs-networks", "rogs-worker"],
+            _ => &[
+                "rogs-schemas",
+                "rogs-random",
+                "rogs-geometry",
+                "rogs-splat",
+                "rogs-networks",
+                "rogs-worker",
+            ],
         }
     };
     for (name, dependencies) in own_dependencies() {
@@ -80,7 +104,10 @@ fn dependencies_point_one_way() {
         }
         for dependency in dependencies {
             assert!(!is_stage(&dependency), "`{name}` depends on the stage `{dependency}`");
-            assert!(allowed(&name).contains(&dependency.as_str()), "`{name}` must not depend on `{dependency}`");
+            assert!(
+                allowed(&name).contains(&dependency.as_str()),
+                "`{name}` must not depend on `{dependency}`"
+            );
         }
     }
 }
@@ -115,7 +142,11 @@ fn only_units_knows_the_scale() {
         }
         for (line, code) in code_lines(&path) {
             let quoted = code.contains('"');
-            assert!(quoted || !scale(&code), "{}:{line} writes the internal scale again: {code}", path.display());
+            assert!(
+                quoted || !scale(&code),
+                "{}:{line} writes the internal scale again: {code}",
+                path.display()
+            );
         }
     }
 }

@@ -8,8 +8,15 @@ use std::time::Duration;
 use support::{ROGS, Workspace};
 
 /// Output files of one clip of the main run.
-const FILES: [&str; 7] =
-    ["clip.r4c", "robot.r4c", "conditioning.r4c", "field-1.r4c", "field-2.r4c", "scores-1.r4c", "scores-2.r4c"];
+const FILES: [&str; 7] = [
+    "clip.r4c",
+    "robot.r4c",
+    "conditioning.r4c",
+    "field-1.r4c",
+    "field-2.r4c",
+    "scores-1.r4c",
+    "scores-2.r4c",
+];
 
 #[test]
 fn a_run_makes_every_output_and_a_second_run_makes_none() {
@@ -55,13 +62,25 @@ fn outputs_do_not_depend_on_threads() {
     for threads in ["1", "2"] {
         let out = format!("run-{threads}");
         workspace.manifest("threads.toml", &out);
-        let (code, summary) =
-            workspace.rogs_json(&["run", "threads.toml", "--workers", "1", "--threads", threads, "--no-report", "--json"]);
+        let (code, summary) = workspace.rogs_json(&[
+            "run",
+            "threads.toml",
+            "--workers",
+            "1",
+            "--threads",
+            threads,
+            "--no-report",
+            "--json",
+        ]);
         assert_eq!(code, Some(0), "{summary:#}");
         runs.push(workspace.outputs(&out));
     }
     for (path, bytes) in &runs[0] {
-        assert!(runs[1][path] == *bytes, "{} differs between 1 and 2 threads", path.display());
+        assert!(
+            runs[1][path] == *bytes,
+            "{} differs between 1 and 2 threads",
+            path.display()
+        );
     }
 }
 
@@ -69,7 +88,10 @@ fn outputs_do_not_depend_on_threads() {
 fn one_corrupt_episode_among_three() {
     let workspace = Workspace::with_episodes(3);
     let episodes = workspace.path("data/episodes");
-    let mut folders: Vec<_> = std::fs::read_dir(&episodes).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let mut folders: Vec<_> = std::fs::read_dir(&episodes)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
     folders.retain(|path| path.is_dir());
     folders.sort();
     assert_eq!(folders.len(), 3);
@@ -92,7 +114,10 @@ fn one_corrupt_episode_among_three() {
     assert_eq!(summary["clips"]["done"], 2);
     assert_eq!(summary["clips"]["failed"], 1);
     let message = summary["failures"][0].to_string();
-    assert!(message.contains(".csv") || message.contains("row"), "the message names the place: {message}");
+    assert!(
+        message.contains(".csv") || message.contains("row"),
+        "the message names the place: {message}"
+    );
     let report = std::fs::read_to_string(summary["report"].as_str().unwrap()).unwrap();
     assert!(report.contains("<h2>Failures</h2>"));
 
@@ -121,7 +146,9 @@ fn killed_runs_resume_to_the_same_bytes() {
         // A generator of our own, so that the moments are the same in every run of the test.
         let mut state = 0x9e37_79b9_7f4a_7c15u64;
         for _ in 0..10 {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             let share = (state >> 40) as f64 / f64::from(1 << 24);
             let mut child = Command::new(ROGS)
                 .args(["run", "killed.toml", "--threads", threads, "--no-report"])
@@ -132,7 +159,10 @@ fn killed_runs_resume_to_the_same_bytes() {
                 .spawn()
                 .unwrap();
             std::thread::sleep(whole.mul_f64(0.3 * share).max(Duration::from_millis(20)));
-            let _ = Command::new("kill").args(["-KILL", "--", &format!("-{}", child.id())]).status().unwrap();
+            let _ = Command::new("kill")
+                .args(["-KILL", "--", &format!("-{}", child.id())])
+                .status()
+                .unwrap();
             child.wait().unwrap();
         }
         let (code, summary) =
@@ -141,7 +171,11 @@ fn killed_runs_resume_to_the_same_bytes() {
         let outputs = workspace.outputs(&out);
         assert_eq!(outputs.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>());
         for (path, bytes) in &expected {
-            assert!(outputs[path] == *bytes, "{} differs after ten kills with {threads} threads", path.display());
+            assert!(
+                outputs[path] == *bytes,
+                "{} differs after ten kills with {threads} threads",
+                path.display()
+            );
         }
         assert_eq!(workspace.leftovers(&out), Vec::<std::path::PathBuf>::new());
     }

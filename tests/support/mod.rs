@@ -17,14 +17,29 @@ pub(crate) struct Workspace {
 impl Workspace {
     /// `episodes` procedural episodes in `episodes/`, their robot in `robot/`, and a manifest at a small size.
     pub(crate) fn with_episodes(episodes: usize) -> Self {
-        let workspace = Self { folder: tempfile::tempdir().unwrap() };
+        let workspace = Self {
+            folder: tempfile::tempdir().unwrap(),
+        };
         let dataset = workspace.path("data");
         let made = Command::new(ROGS)
-            .args(["synth", "--episodes", &episodes.to_string(), "--seed", "11", "--size", "140x84", "--out"])
+            .args([
+                "synth",
+                "--episodes",
+                &episodes.to_string(),
+                "--seed",
+                "11",
+                "--size",
+                "140x84",
+                "--out",
+            ])
             .arg(&dataset)
             .output()
             .unwrap();
-        assert!(made.status.success(), "synth failed: {}", String::from_utf8_lossy(&made.stderr));
+        assert!(
+            made.status.success(),
+            "synth failed: {}",
+            String::from_utf8_lossy(&made.stderr)
+        );
         workspace.manifest("manifest.toml", "run");
         workspace
     }
@@ -33,7 +48,10 @@ impl Workspace {
     pub(crate) fn manifest(&self, name: &str, out: &str) {
         let written = std::fs::read_to_string(self.path("data/manifest.toml")).unwrap();
         let out = format!("out = {:?}", self.path(out));
-        let mut lines: Vec<String> = written.lines().map(|line| line.replace("\"episodes\"", "\"data/episodes\"")).collect();
+        let mut lines: Vec<String> = written
+            .lines()
+            .map(|line| line.replace("\"episodes\"", "\"data/episodes\""))
+            .collect();
         for line in &mut lines {
             if line.starts_with("out = ") {
                 line.clone_from(&out);
@@ -56,7 +74,11 @@ impl Workspace {
 
     /// Runs the program in the folder.
     pub(crate) fn rogs(&self, arguments: &[&str]) -> Output {
-        Command::new(ROGS).args(arguments).current_dir(self.folder.path()).output().unwrap()
+        Command::new(ROGS)
+            .args(arguments)
+            .current_dir(self.folder.path())
+            .output()
+            .unwrap()
     }
 
     /// Runs the program and reads its one JSON value.
@@ -100,7 +122,10 @@ fn collect(folder: &Path, root: &Path, files: &mut BTreeMap<PathBuf, Vec<u8>>) {
     names(folder, &mut all);
     for path in all {
         if path.extension().is_some_and(|extension| extension == "r4c") {
-            files.insert(path.strip_prefix(root).unwrap().to_path_buf(), std::fs::read(&path).unwrap());
+            files.insert(
+                path.strip_prefix(root).unwrap().to_path_buf(),
+                std::fs::read(&path).unwrap(),
+            );
         }
     }
 }

@@ -36,7 +36,10 @@ pub(crate) fn error(error: &anyhow::Error) {
     for cause in error.chain().skip(1) {
         let _ = writeln!(err, "  caused by: {cause}");
     }
-    if let Some(hint) = error.downcast_ref::<rogs_orchestrator::Error>().and_then(rogs_orchestrator::Error::hint) {
+    if let Some(hint) = error
+        .downcast_ref::<rogs_orchestrator::Error>()
+        .and_then(rogs_orchestrator::Error::hint)
+    {
         let _ = writeln!(err, "hint: {hint}");
     }
 }
@@ -45,7 +48,9 @@ pub(crate) fn error(error: &anyhow::Error) {
 pub(crate) fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error.chain().any(|cause| {
         let io = cause.downcast_ref::<std::io::Error>().map(std::io::Error::kind);
-        let json = cause.downcast_ref::<serde_json::Error>().and_then(serde_json::Error::io_error_kind);
+        let json = cause
+            .downcast_ref::<serde_json::Error>()
+            .and_then(serde_json::Error::io_error_kind);
         io.or(json) == Some(std::io::ErrorKind::BrokenPipe)
     })
 }

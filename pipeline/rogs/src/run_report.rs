@@ -34,7 +34,12 @@ impl RunResults {
         let plan = read_plan(run)?;
         let (status, states) = status_of(&plan)?;
         let attempts = last_by_output(read_all(&plan.run)?);
-        let mut results = Self { clips: Vec::new(), sheets: Vec::new(), timings: Vec::new(), plan };
+        let mut results = Self {
+            clips: Vec::new(),
+            sheets: Vec::new(),
+            timings: Vec::new(),
+            plan,
+        };
         for index in 0..results.plan.clips.len() {
             results.add_clip(index, &states[index], &attempts);
         }
@@ -59,11 +64,20 @@ impl RunResults {
     ) {
         let plan = &self.plan;
         let keys = plan.keys(index);
-        let mut report = ClipReport { clip_id: plan.clips[index].id.clone(), ..ClipReport::default() };
+        let mut report = ClipReport {
+            clip_id: plan.clips[index].id.clone(),
+            ..ClipReport::default()
+        };
         // Seconds and peak memory by node label, for the timing of methods.
         let mut costs: BTreeMap<usize, (f64, u64)> = BTreeMap::new();
         for (node_index, node) in plan.nodes.iter().enumerate() {
-            let output = plan.output(Unit { clip: index, node: node_index }, &keys);
+            let output = plan.output(
+                Unit {
+                    clip: index,
+                    node: node_index,
+                },
+                &keys,
+            );
             if let Some(attempt) = attempts.get(&(output.clone(), keys[node_index].key)) {
                 let seconds = attempt.seconds.get("total").copied().unwrap_or_default();
                 report.timings.push(TimingReport {
@@ -71,7 +85,12 @@ impl RunResults {
                     seconds,
                     peak_rss_bytes: attempt.peak_rss_bytes,
                 });
-                report.warnings.extend(attempt.warnings.iter().map(|warning| (node.label.clone(), warning.clone())));
+                report.warnings.extend(
+                    attempt
+                        .warnings
+                        .iter()
+                        .map(|warning| (node.label.clone(), warning.clone())),
+                );
                 costs.insert(node_index, (seconds, attempt.peak_rss_bytes));
             }
             if states[node_index] != OutputState::UpToDate {
@@ -100,13 +119,20 @@ impl RunResults {
 
     /// One table of the paper over the clips of the run.
     pub(crate) fn table(&self, id: TableId, options: TableOptions) -> anyhow::Result<Table> {
-        let input = TableInput { sheets: &self.sheets, timings: &self.timings, cohort: None };
+        let input = TableInput {
+            sheets: &self.sheets,
+            timings: &self.timings,
+            cohort: None,
+        };
         Ok(table(id, &input, options)?)
     }
 
     /// Writes `report/index.html` and returns its path.
     pub(crate) fn write(self) -> anyhow::Result<PathBuf> {
-        let options = TableOptions { hide_empty_rows: true, ..TableOptions::default() };
+        let options = TableOptions {
+            hide_empty_rows: true,
+            ..TableOptions::default()
+        };
         let mut tables = Vec::new();
         for id in [TableId::Main, TableId::Additional, TableId::Robot, TableId::Ci] {
             let table = self.table(id, options)?;
@@ -114,19 +140,33 @@ impl RunResults {
                 tables.push(report_table(&table));
             }
         }
-        let count = |finished: bool| self.clips.iter().filter(|clip| clip.failures.is_empty() == finished).count();
+        let count = |finished: bool| {
+            self.clips
+                .iter()
+                .filter(|clip| clip.failures.is_empty() == finished)
+                .count()
+        };
         let summary = vec![
-            ("clips".to_owned(), format!("{} without failures, {} with", count(true), count(false))),
+            (
+                "clips".to_owned(),
+                format!("{} without failures, {} with", count(true), count(false)),
+            ),
             ("setting".to_owned(), self.plan.setting.clone()),
             ("variants".to_owned(), self.plan.variants.join(", ")),
             ("program".to_owned(), format!("rogs {}", env!("CARGO_PKG_VERSION"))),
         ];
         let folder = self.plan.run.join("report");
         let manifest = rogs_orchestrator::manifest::Manifest::load(&self.plan.manifest).ok();
-        let max_picture_clips =
-            manifest.and_then(|(manifest, _)| manifest.report.clips).unwrap_or(DEFAULT_PICTURE_CLIPS);
-        let input =
-            ReportInput { run_name: self.plan.name.clone(), summary, tables, clips: self.clips, max_picture_clips };
+        let max_picture_clips = manifest
+            .and_then(|(manifest, _)| manifest.report.clips)
+            .unwrap_or(DEFAULT_PICTURE_CLIPS);
+        let input = ReportInput {
+            run_name: self.plan.name.clone(),
+            summary,
+            tables,
+            clips: self.clips,
+            max_picture_clips,
+        };
         write_report(&folder, &input).with_context(|| format!("writing the report in `{}`", folder.display()))
     }
 }
@@ -143,7 +183,9 @@ fn timing(plan: &Plan, score: usize, sheet: &ScoreSheet, costs: &BTreeMap<usize,
     timing.render_query_s = costs.get(&score).map(|(seconds, _)| *seconds);
     let mut peak = costs.get(&score).map(|(_, bytes)| *bytes);
     for upstream in plan.upstream(score) {
-        let Some(&(seconds, bytes)) = costs.get(&upstream) else { continue };
+        let Some(&(seconds, bytes)) = costs.get(&upstream) else {
+            continue;
+        };
         match plan.nodes[upstream].stage.as_str() {
             "lift" => timing.lift_s = Some(seconds),
             "refine" => timing.refine_s = Some(seconds),
@@ -160,8 +202,17 @@ fn report_table(table: &Table) -> ReportTable {
     let mut columns = vec!["method".to_owned()];
     columns.extend(table.columns.iter().map(|column| column.name.clone()));
     let row = |row: &rogs_score::tables::Row| {
-        let mut cells = vec![if row.group.is_empty() { row.label.clone() } else { format!("{}: {}", row.group, row.label) }];
-        cells.extend(row.cells.iter().zip(&table.columns).map(|(cell, column)| cell.print(column, row.clips)));
+        let mut cells = vec![if row.group.is_empty() {
+            row.label.clone()
+        } else {
+            format!("{}: {}", row.group, row.label)
+        }];
+        cells.extend(
+            row.cells
+                .iter()
+                .zip(&table.columns)
+                .map(|(cell, column)| cell.print(column, row.clips)),
+        );
         cells
     };
     ReportTable {

@@ -10,8 +10,14 @@ type StageMain = fn(Vec<OsString>) -> ExitCode;
 /// Every stage, in pipeline order.
 const STAGES: [(&str, StageMain); 6] = [
     (rogs_ingest::Ingest::NAME, ingest),
-    (rogs_robot_maps::RobotMapsStage::NAME, stage_main_from::<rogs_robot_maps::RobotMapsStage>),
-    (rogs_conditioning::ConditioningStage::NAME, stage_main_from::<rogs_conditioning::ConditioningStage>),
+    (
+        rogs_robot_maps::RobotMapsStage::NAME,
+        stage_main_from::<rogs_robot_maps::RobotMapsStage>,
+    ),
+    (
+        rogs_conditioning::ConditioningStage::NAME,
+        stage_main_from::<rogs_conditioning::ConditioningStage>,
+    ),
     (rogs_lift::Lift::NAME, stage_main_from::<rogs_lift::Lift>),
     (rogs_refine::Refine::NAME, stage_main_from::<rogs_refine::Refine>),
     (rogs_score::Score::NAME, stage_main_from::<rogs_score::Score>),

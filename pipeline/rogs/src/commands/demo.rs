@@ -46,15 +46,26 @@ const FRAMES: u32 = 33;
 const SIZE: [u32; 2] = [154, 280];
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    output::note(&format!("making {} procedural episodes in `{}`", args.episodes, args.out.display()));
+    output::note(&format!(
+        "making {} procedural episodes in `{}`",
+        args.episodes,
+        args.out.display()
+    ));
     let (_, manifest) = synth::make(&args.out, "demo", args.episodes, args.seed, FRAMES, SIZE)?;
     let mut prepared = args.machine.prepare(&manifest)?;
     let outcome = execute(&mut prepared, true)?;
-    let options = TableOptions { hide_empty_rows: true, ..TableOptions::default() };
+    let options = TableOptions {
+        hide_empty_rows: true,
+        ..TableOptions::default()
+    };
     let table = RunResults::read(&outcome.summary.run)?.table(TableId::Main, options)?;
     let code = outcome.summary.exit.code();
     if args.json {
-        output::json(&DemoOutcome { outcome, manifest, table })?;
+        output::json(&DemoOutcome {
+            outcome,
+            manifest,
+            table,
+        })?;
     } else {
         output::text(&to_text(&table))?;
         output::text(&describe(&outcome))?;

@@ -52,8 +52,18 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
 }
 
 fn version() -> Finding {
-    let found = format!("rogs {} on {} {}", env!("CARGO_PKG_VERSION"), std::env::consts::OS, std::env::consts::ARCH);
-    Finding { name: "version", state: "ok", found, hint: None }
+    let found = format!(
+        "rogs {} on {} {}",
+        env!("CARGO_PKG_VERSION"),
+        std::env::consts::OS,
+        std::env::consts::ARCH
+    );
+    Finding {
+        name: "version",
+        state: "ok",
+        found,
+        hint: None,
+    }
 }
 
 fn processor() -> Finding {
@@ -69,19 +79,38 @@ fn processor() -> Finding {
     .collect();
     #[cfg(not(target_arch = "x86_64"))]
     let features: Vec<&str> = Vec::new();
-    let found = format!("{threads} threads; {}", if features.is_empty() { "portable code only".to_owned() } else { features.join(", ") });
-    Finding { name: "processor", state: "ok", found, hint: None }
+    let found = format!(
+        "{threads} threads; {}",
+        if features.is_empty() {
+            "portable code only".to_owned()
+        } else {
+            features.join(", ")
+        }
+    );
+    Finding {
+        name: "processor",
+        state: "ok",
+        found,
+        hint: None,
+    }
 }
 
 /// The number of kibibytes behind a key of a `/proc` table.
 fn proc_kib(table: &str, key: &str) -> Option<u64> {
-    table.lines().find_map(|line| line.strip_prefix(key)?.trim().strip_suffix("kB")?.trim().parse().ok())
+    table
+        .lines()
+        .find_map(|line| line.strip_prefix(key)?.trim().strip_suffix("kB")?.trim().parse().ok())
 }
 
 fn memory() -> Finding {
     let table = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
     let Some(available) = proc_kib(&table, "MemAvailable:") else {
-        return Finding { name: "memory", state: "note", found: "unknown on this system".into(), hint: None };
+        return Finding {
+            name: "memory",
+            state: "note",
+            found: "unknown on this system".into(),
+            hint: None,
+        };
     };
     let gib = available as f64 / (1 << 20) as f64;
     // A compact clip needs about this much per worker; the plan knows better once a run has been measured.
@@ -97,7 +126,10 @@ fn memory() -> Finding {
 fn media() -> Finding {
     let report = rogs_ingest::media_report();
     let codecs = [("H.264", report.h264), ("HEVC", report.hevc), ("AV1", report.av1)];
-    let codecs: Vec<&str> = codecs.into_iter().filter_map(|(name, has)| has.then_some(name)).collect();
+    let codecs: Vec<&str> = codecs
+        .into_iter()
+        .filter_map(|(name, has)| has.then_some(name))
+        .collect();
     Finding {
         name: "video",
         state: if report.problems.is_empty() { "ok" } else { "note" },
@@ -113,7 +145,12 @@ fn folder(folder: &std::path::Path) -> Finding {
     match probe(folder) {
         Ok(()) => {
             let found = format!("`{}` can be written, renamed in and synced", folder.display());
-            Finding { name: "folder", state: "ok", found, hint: None }
+            Finding {
+                name: "folder",
+                state: "ok",
+                found,
+                hint: None,
+            }
         }
         Err(error) => Finding {
             name: "folder",

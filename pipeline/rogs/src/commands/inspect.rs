@@ -31,14 +31,25 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
 
 /// The lower-case name under which an enum value appears in JSON.
 fn word<T: Serialize>(value: &T) -> String {
-    serde_json::to_value(value).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default()
+    serde_json::to_value(value)
+        .ok()
+        .and_then(|value| value.as_str().map(str::to_owned))
+        .unwrap_or_default()
 }
 
 fn describe(report: &InspectReport) -> String {
     let material = &report.provenance.material;
     let mut text = String::new();
-    let _ = writeln!(text, "{} {} in container {}, {} bytes", report.schema, report.version, report.container, report.file_bytes);
-    let _ = writeln!(text, "made by    {} (version {})", material.stage, material.stage_version);
+    let _ = writeln!(
+        text,
+        "{} {} in container {}, {} bytes",
+        report.schema, report.version, report.container, report.file_bytes
+    );
+    let _ = writeln!(
+        text,
+        "made by    {} (version {})",
+        material.stage, material.stage_version
+    );
     let _ = writeln!(text, "key        {}", report.key);
     let _ = writeln!(text, "content    {}", report.content);
     let _ = writeln!(text, "parameters {}", material.params);
@@ -59,7 +70,11 @@ fn describe(report: &InspectReport) -> String {
             "{:<28} {:>5} {:>10} {:>14} {:>11} {:>19} {:>12} {:>12} {:>7.2} {:>12} {:>12} {:>8}",
             stream.name,
             word(&stream.dtype),
-            if shape.is_empty() { "1".to_owned() } else { shape.join("x") },
+            if shape.is_empty() {
+                "1".to_owned()
+            } else {
+                shape.join("x")
+            },
             word(&stream.unit),
             word(&stream.frame),
             word(&stream.codec),

@@ -1,7 +1,9 @@
 //! The commands, one module each.
 
+mod care;
 mod demo;
 mod doctor;
+mod engines;
 mod fk;
 mod inspect;
 mod plan;
@@ -29,12 +31,16 @@ enum Command {
     #[command(visible_alias = "resume")]
     Run(run::Args),
     Plan(plan::Args),
+    Submit(engines::SubmitArgs),
     /// What is done in a run folder, what failed and why, what is left.
     Status(status::Args),
     /// Reads every output of a run folder completely and checks it against the plan.
     Verify(status::Args),
     /// Makes the report of a run folder anew.
     Report(status::Args),
+    Logs(care::LogsArgs),
+    Diff(care::DiffArgs),
+    Gc(care::GcArgs),
     Table(table::Args),
     Synth(synth::Args),
     Render(render::Args),
@@ -51,6 +57,10 @@ pub(crate) fn run(command_line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Synth(args) => synth::run(&args),
         Command::Run(args) => run::run(&args),
         Command::Plan(args) => plan::run(&args),
+        Command::Submit(args) => engines::run_submit(&args),
+        Command::Logs(args) => care::run_logs(&args),
+        Command::Diff(args) => care::run_diff(&args),
+        Command::Gc(args) => care::run_gc(&args),
         Command::Status(args) => status::show_status(&args),
         Command::Verify(args) => status::show_verify(&args),
         Command::Report(args) => status::make_report(&args),

@@ -22,6 +22,16 @@ pub(crate) struct Args {
     /// Explain only this clip.
     #[arg(long, value_name = "CLIP", requires = "explain")]
     clip: Option<String>,
+    /// Write the units for other engines (Kubernetes indexed jobs, HyperQueue, Ray, xargs) and print the commands that
+    /// run them, one a stage and shard.
+    #[arg(long, value_name = "FORM", value_parser = ["jsonl"], conflicts_with = "explain")]
+    emit: Option<String>,
+    /// Number of shards to cut the clips into.
+    #[arg(long, default_value_t = 1, requires = "emit")]
+    shards: u32,
+    /// Where the units are written; default: `units.jsonl` in the run folder.
+    #[arg(long, value_name = "FILE", requires = "emit")]
+    units: Option<PathBuf>,
     /// Print one JSON value.
     #[arg(long)]
     json: bool,
@@ -30,6 +40,10 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let prepared = args.machine.prepare(&args.manifest)?;
     let plan = &prepared.plan;
+    if args.emit.is_some() {
+        super::engines::emit(&prepared, args.shards, args.units.as_deref(), args.json)?;
+        return Ok(ExitCode::SUCCESS);
+    }
     if args.explain {
         let clips = match &args.clip {
             Some(clip) => vec![plan.find_clip(clip)?],
@@ -54,9 +68,18 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         output::json(&estimate)?;
         return Ok(ExitCode::SUCCESS);
     }
-    let mut text = format!("{}: {} clips, {} units\n", estimate.name, estimate.clips, plan.unit_count());
+    let mut text = format!(
+        "{}: {} clips, {} units\n",
+        estimate.name,
+        estimate.clips,
+        plan.unit_count()
+    );
     for node in &estimate.nodes {
-        let _ = writeln!(text, "  {:<24} {:>7} up to date {:>7} to make", node.node, node.up_to_date, node.todo);
+        let _ = writeln!(
+            text,
+            "  {:<24} {:>7} up to date {:>7} to make",
+            node.node, node.up_to_date, node.todo
+        );
     }
     match estimate.seconds {
         Some(seconds) => writeln!(text, "about {seconds:.0} s with {} workers", estimate.workers)?,

@@ -113,7 +113,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
                 output::text(&file.display().to_string())?;
             }
             if view.invalid > 0 {
-                output::note(&format!("{}: {} Gaussians have invalid values and were left out", view.camera, view.invalid));
+                output::note(&format!(
+                    "{}: {} Gaussians have invalid values and were left out",
+                    view.camera, view.invalid
+                ));
             }
         }
     }
@@ -140,12 +143,21 @@ fn read_cameras(path: &Path) -> anyhow::Result<Vec<CameraSpec>> {
 }
 
 fn read_scene(args: &Args) -> anyhow::Result<Scene> {
-    if args.scene.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ply")) {
+    if args
+        .scene
+        .extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("ply"))
+    {
         ensure!(args.refinement.is_none(), "a PLY file takes no refinement");
         ensure!(args.time.is_none(), "a PLY file holds one time; leave `--time` out");
         let scene = rogs_splat::ply::read_ply_file(&args.scene)?;
         let recon_from_base = Pose::from_matrix4(&IDENTITY)?;
-        return Ok(Scene { gaussians: scene.gaussians, time: None, units_per_metre: 1.0, recon_from_base });
+        return Ok(Scene {
+            gaussians: scene.gaussians,
+            time: None,
+            units_per_metre: 1.0,
+            recon_from_base,
+        });
     }
     let (field, _) = read_record::<Field>(&args.scene)?;
     let refinement = match &args.refinement {
@@ -187,16 +199,29 @@ fn camera(spec: &CameraSpec, scene: &Scene) -> anyhow::Result<Camera> {
             let base_from_camera: Pose<Base, CameraFrame> = Pose::from_matrix4(&flat(matrix))?;
             scene.recon_from_base * base_from_camera
         }
-        _ => bail!("camera `{}` needs either `base_from_camera` or `recon_from_camera`", spec.name),
+        _ => bail!(
+            "camera `{}` needs either `base_from_camera` or `recon_from_camera`",
+            spec.name
+        ),
     };
     let pose = recon_from_camera.to_rigid();
-    Ok(Camera::from_world_pose(spec.width, spec.height, &spec.intrinsics, &pose, scene.units_per_metre))
+    Ok(Camera::from_world_pose(
+        spec.width,
+        spec.height,
+        &spec.intrinsics,
+        &pose,
+        scene.units_per_metre,
+    ))
 }
 
 fn write(args: &Args, spec: &CameraSpec, view: &Render, units_per_metre: f64) -> anyhow::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     let png = args.out.join(format!("{}.png", spec.name));
-    let bytes: Vec<u8> = view.rgb.iter().map(|value| (value.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
+    let bytes: Vec<u8> = view
+        .rgb
+        .iter()
+        .map(|value| (value.clamp(0.0, 1.0) * 255.0).round() as u8)
+        .collect();
     image::save_buffer(&png, &bytes, spec.width, spec.height, image::ExtendedColorType::Rgb8)
         .with_context(|| format!("writing `{}`", png.display()))?;
     files.push(png);
@@ -208,7 +233,14 @@ fn write(args: &Args, spec: &CameraSpec, view: &Render, units_per_metre: f64) ->
         Ok(())
     };
     if args.depth {
-        plane("depth", "Z", view.depth_expected.iter().map(|depth| depth / units_per_metre as f32).collect())?;
+        plane(
+            "depth",
+            "Z",
+            view.depth_expected
+                .iter()
+                .map(|depth| depth / units_per_metre as f32)
+                .collect(),
+        )?;
     }
     if args.alpha {
         plane("alpha", "A", view.alpha.clone())?;
@@ -224,8 +256,11 @@ fn write_exr(path: &Path, width: usize, height: usize, channel: &str, values: Ve
     let layer = Layer::new(
         (width, height),
         LayerAttributes::default(),
-        Encoding { compression: Compression::ZIP16, ..Encoding::default() },
-        AnyChannels::sort(smallvec::smallvec![channel]),
+        Encoding {
+            compression: Compression::ZIP16,
+            ..Encoding::default()
+        },
+        AnyChannels::sort(std::iter::once(channel).collect()),
     );
     Image::from_layer(layer).write().to_file(path)
 }

@@ -103,7 +103,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
 pub(crate) fn execute(prepared: &mut Prepared, report: bool) -> anyhow::Result<RunOutcome> {
     prepared.options.interrupts = Interrupts::install()?;
     let summary = prepared.run()?;
-    let report = if report { Some(RunResults::read(&summary.run)?.write()?) } else { None };
+    let report = if report {
+        Some(RunResults::read(&summary.run)?.write()?)
+    } else {
+        None
+    };
     Ok(RunOutcome { summary, report })
 }
 
@@ -114,8 +118,12 @@ pub(crate) fn describe(outcome: &RunOutcome) -> String {
     let (units, clips) = (&summary.units, &summary.clips);
     let mut text = String::new();
     for failure in &summary.failures {
-        let _ = writeln!(text, "failed: {} at {}: {}", failure.clip, failure.node, failure.failure.message);
-        if let Some(hint) = &failure.failure.hint {
+        let _ = writeln!(
+            text,
+            "failed: {} at {}: {}",
+            failure.clip, failure.node, failure.message
+        );
+        if let Some(hint) = &failure.hint {
             let _ = writeln!(text, "  hint: {hint}");
         }
     }

@@ -45,7 +45,11 @@ pub(crate) fn show_status(args: &Args) -> anyhow::Result<ExitCode> {
         );
     }
     for failure in &status.failures {
-        let _ = writeln!(text, "failed: {} at {}: {}", failure.clip, failure.node, failure.failure.message);
+        let _ = writeln!(
+            text,
+            "failed: {} at {}: {}",
+            failure.clip, failure.node, failure.failure.message
+        );
         if let Some(hint) = &failure.failure.hint {
             let _ = writeln!(text, "  hint: {hint}");
         }
@@ -60,13 +64,20 @@ pub(crate) fn show_verify(args: &Args) -> anyhow::Result<ExitCode> {
     if args.json {
         output::json(&found)?;
     } else {
-        let mut text = format!("{} outputs are good, {} missing, {} bad\n", found.good, found.missing, found.bad.len());
+        let mut text = format!(
+            "{} outputs are good, {} missing, {} bad\n",
+            found.good,
+            found.missing,
+            found.bad.len()
+        );
         for bad in &found.bad {
             let _ = writeln!(text, "bad: {}: {}", bad.output.display(), bad.what);
         }
         output::text(&text)?;
     }
-    Ok(ExitCode::from(if found.bad.is_empty() { Exit::Done } else { Exit::Failed }.code()))
+    Ok(ExitCode::from(
+        if found.bad.is_empty() { Exit::Done } else { Exit::Failed }.code(),
+    ))
 }
 
 /// Makes the report of a run folder anew.

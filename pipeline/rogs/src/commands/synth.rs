@@ -5,7 +5,10 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use rogs_schemas::records::robot::RobotSpec;
-use rogs_synth::{DatasetSummary, EPISODES_FOLDER, ROBOT_FOLDER, ROBOT_SPEC_FILE, ROBOT_URDF_FILE, Resolution, SynthConfig, write_dataset_with};
+use rogs_synth::{
+    DatasetSummary, EPISODES_FOLDER, ROBOT_FOLDER, ROBOT_SPEC_FILE, ROBOT_URDF_FILE, Resolution, SynthConfig,
+    write_dataset_with,
+};
 
 use crate::output;
 
@@ -37,7 +40,9 @@ pub(crate) struct Args {
 
 /// `WIDTHxHEIGHT` as `[height, width]`.
 fn parse_size(text: &str) -> Result<[u32; 2], String> {
-    let parts = text.split_once('x').and_then(|(width, height)| Some([height.parse().ok()?, width.parse().ok()?]));
+    let parts = text
+        .split_once('x')
+        .and_then(|(width, height)| Some([height.parse().ok()?, width.parse().ok()?]));
     match parts {
         Some([height, width]) if height > 0 && width > 0 && height % 14 == 0 && width % 14 == 0 => Ok([height, width]),
         _ => Err("write WIDTHxHEIGHT with multiples of 14, for example 280x154".to_owned()),
@@ -71,7 +76,10 @@ pub(crate) fn make(
 ) -> anyhow::Result<(DatasetSummary, PathBuf)> {
     let config = SynthConfig {
         frames,
-        resolution: Resolution { wrist: size, external: size },
+        resolution: Resolution {
+            wrist: size,
+            external: size,
+        },
         ..SynthConfig::default()
     };
     let done = |path: &Path| output::note(&format!("episode {}", path.display()));

@@ -47,7 +47,11 @@ fn table_id(name: &str) -> Result<TableId, String> {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    let options = TableOptions { published: args.published, intervals: args.intervals, hide_empty_rows: !args.published };
+    let options = TableOptions {
+        published: args.published,
+        intervals: args.intervals,
+        hide_empty_rows: !args.published,
+    };
     let table = RunResults::read(&args.run)?.table(args.table, options)?;
     match if args.json { Format::Json } else { args.format } {
         Format::Text => output::text(&to_text(&table))?,
