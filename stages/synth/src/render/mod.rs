@@ -1,0 +1,18 @@
+//! The renderer: scan conversion to five samples a pixel, deferred shading, shadow and sky maps.
+//!
+//! Depth and ids come from the sample at the pixel centre; depth is solved again in f64 from the plane of the triangle that
+//! is seen. Colour averages the four other samples. No result depends on the number of threads: every camera of every frame
+//! is drawn by itself.
+
+mod prepared;
+mod raster;
+mod shade;
+mod shadow;
+mod texture;
+mod view;
+
+pub(crate) use prepared::PreparedMesh;
+pub(crate) use shade::Sensor;
+pub(crate) use texture::{Material, Pattern};
+pub use view::View;
+pub(crate) use view::{LitScene, NEAR, render_view};
