@@ -33,11 +33,11 @@ fn main() {
             &folder.0,
             "gauss",
             Dtype::F32,
-            Codec::ShuffleZstd,
+            Codec::PlanesZstd,
             &[CHANNELS as u32],
             &gaussians,
         ),
-        measure(&folder.0, "depth", Dtype::F32, Codec::ShuffleZstd, &[], &depth),
+        measure(&folder.0, "depth", Dtype::F32, Codec::PlanesZstd, &[], &depth),
         measure(&folder.0, "ids", Dtype::U8, Codec::Zstd, &[], &links),
     ];
     println!(

@@ -192,7 +192,8 @@ fn forged_prologues_are_refused() {
         assert!(error.contains(message), "byte {at}: {error}");
     };
     refused(8, 2, "a newer program wrote it");
-    refused(12, 1, "required features");
+    refused(12, 2, "required features");
+    refused(12, 0, "features that the prologue announces");
     refused(20, 0xaa, "schema id");
     refused(32, 9, "rogs.conditioning 9.0");
     refused(36, 1, "reserved");
@@ -267,13 +268,13 @@ fn values_out_of_range_are_refused_although_every_checksum_fits() {
     let depth = StreamSpec {
         unit: Unit::Metre,
         frame: Frame::Camera,
-        ..spec("mesh_depth_m", Dtype::F32, Codec::ShuffleZstd)
+        ..spec("mesh_depth_m", Dtype::F32, Codec::PlanesZstd)
     };
     writer.stream(&depth, &[], &[([0; 4], &[1.0f32; 4][..])]).unwrap();
     let displacement = StreamSpec {
         unit: Unit::InternalUnit,
         frame: Frame::Recon,
-        ..spec("displacement_iu", Dtype::F32, Codec::ShuffleZstd)
+        ..spec("displacement_iu", Dtype::F32, Codec::PlanesZstd)
     };
     writer
         .stream(&displacement, &[3], &[([0; 4], &[0.5f32; 24][..])])
@@ -344,7 +345,7 @@ fn constant_chunks_of_a_damaged_scalar_are_noticed() {
     );
     writer
         .stream(
-            &spec("zeros", Dtype::F32, Codec::ShuffleZstd),
+            &spec("zeros", Dtype::F32, Codec::PlanesZstd),
             &[],
             &[([0; 4], &[0.0f32; 1000][..])],
         )

@@ -39,8 +39,14 @@ fn streams<T: Element + std::fmt::Debug>(
         })
 }
 
-const FLOATS: &[Codec] = &[Codec::Raw, Codec::Zstd, Codec::ShuffleZstd];
-const INTEGERS: &[Codec] = &[Codec::Raw, Codec::Zstd, Codec::ShuffleZstd, Codec::DeltaShuffleZstd];
+const FLOATS: &[Codec] = &[Codec::Raw, Codec::Zstd, Codec::ShuffleZstd, Codec::PlanesZstd];
+const INTEGERS: &[Codec] = &[
+    Codec::Raw,
+    Codec::Zstd,
+    Codec::ShuffleZstd,
+    Codec::DeltaShuffleZstd,
+    Codec::PlanesZstd,
+];
 
 /// All bit patterns, and values that repeat.
 fn bits32() -> BoxedStrategy<u32> {

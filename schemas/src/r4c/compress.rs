@@ -90,10 +90,14 @@ impl Scratch {
         stride: usize,
         bytes: &[u8],
     ) -> std::io::Result<Option<Vec<u8>>> {
+        let compressor = match &mut self.compressor {
+            Some(compressor) => compressor,
+            none => none.insert(new_compressor()?),
+        };
         let input = match codec {
             Codec::Raw => return Ok(None),
             Codec::Zstd => bytes,
-            Codec::ShuffleZstd => {
+            Codec::ShuffleZstd | Codec::PlanesZstd => {
                 shuffle(bytes, stride, &mut self.planes);
                 &self.planes
             }
@@ -105,11 +109,11 @@ impl Scratch {
                 &self.planes
             }
         };
-        let compressor = match &mut self.compressor {
-            Some(compressor) => compressor,
-            none => none.insert(new_compressor()?),
+        let stored = if codec == Codec::PlanesZstd {
+            compress_planes(compressor, input, stride)?
+        } else {
+            compressor.compress(input)?
         };
-        let stored = compressor.compress(input)?;
         Ok((stored.len() < bytes.len()).then_some(stored))
     }
 
@@ -129,11 +133,14 @@ impl Scratch {
             out.copy_from_slice(stored);
             return Ok(());
         }
-        check_frame(stored, out.len())?;
         let decompressor = match &mut self.decompressor {
             Some(decompressor) => decompressor,
             none => none.insert(Decompressor::new().map_err(|error| error.to_string())?),
         };
+        if codec == Codec::PlanesZstd {
+            return decompress_planes(decompressor, &mut self.planes, stride, stored, out);
+        }
+        check_frame(stored, out.len())?;
         if codec == Codec::Zstd {
             return decompress_exactly(decompressor, stored, out);
         }
@@ -143,12 +150,70 @@ impl Scratch {
             .map_err(|error| error.to_string())?;
         self.planes.resize(out.len(), 0);
         decompress_exactly(decompressor, stored, &mut self.planes)?;
-        unshuffle(&self.planes, stride, out);
+        let planes: Vec<&[u8]> = self.planes.chunks_exact((out.len() / stride).max(1)).collect();
+        unshuffle(&planes, out);
         if codec == Codec::DeltaShuffleZstd {
             undelta(out, dtype.size());
         }
         Ok(())
     }
+}
+
+/// Lengths of the stored planes, then the planes.
+fn compress_planes(compressor: &mut Compressor<'_>, planes: &[u8], stride: usize) -> std::io::Result<Vec<u8>> {
+    let count = planes.len() / stride;
+    let mut stored = vec![0; 4 * stride];
+    stored.reserve(planes.len());
+    for (number, plane) in planes.chunks_exact(count.max(1)).enumerate() {
+        let frame = compressor.compress(plane)?;
+        let smaller = if frame.len() < plane.len() { &frame } else { plane };
+        // A chunk has at most 2^28 bytes.
+        stored[4 * number..4 * number + 4].copy_from_slice(&(smaller.len() as u32).to_le_bytes());
+        stored.extend_from_slice(smaller);
+    }
+    Ok(stored)
+}
+
+/// The inverse of [`compress_planes`] and the transposition. Planes stored as they are are not copied in between.
+fn decompress_planes(
+    decompressor: &mut Decompressor<'_>,
+    scratch: &mut Vec<u8>,
+    stride: usize,
+    stored: &[u8],
+    out: &mut [u8],
+) -> Result<(), String> {
+    let count = out.len() / stride;
+    if count == 0 || !out.len().is_multiple_of(stride) {
+        return Err(format!("{} bytes are no planes of stride {stride}", out.len()));
+    }
+    let (lengths, mut rest) = stored
+        .split_at_checked(4 * stride)
+        .ok_or_else(|| "the lengths of the planes are cut off".to_owned())?;
+    scratch.clear();
+    scratch
+        .try_reserve_exact(out.len())
+        .map_err(|error| error.to_string())?;
+    scratch.resize(out.len(), 0);
+    let mut planes: Vec<&[u8]> = Vec::with_capacity(stride);
+    for (length, target) in lengths.as_chunks::<4>().0.iter().zip(scratch.chunks_exact_mut(count)) {
+        let length = u32::from_le_bytes(*length) as usize;
+        let (plane, after) = rest
+            .split_at_checked(length)
+            .ok_or_else(|| "a plane is cut off".to_owned())?;
+        rest = after;
+        if length == count {
+            planes.push(plane);
+            continue;
+        }
+        check_frame(plane, count)?;
+        decompress_exactly(decompressor, plane, target)?;
+        planes.push(target);
+    }
+    if !rest.is_empty() {
+        return Err(format!("{} bytes are left over behind the planes", rest.len()));
+    }
+    unshuffle(&planes, out);
+    Ok(())
 }
 
 fn new_compressor() -> std::io::Result<Compressor<'static>> {
@@ -203,15 +268,14 @@ fn check_frame(stored: &[u8], decoded: usize) -> Result<(), String> {
 /// Elements handled at once by the transposition: a block stays in the first-level cache.
 const BLOCK: usize = 256;
 
-/// Byte transposition: byte `k` of element `i` goes to `k * n + i`; bytes after the last whole element stay behind.
+/// Byte transposition: byte `k` of element `i` goes to `k * n + i`. The length is a multiple of the stride.
 fn shuffle(bytes: &[u8], stride: usize, planes: &mut Vec<u8>) {
     planes.clear();
     planes.resize(bytes.len(), 0);
     let count = bytes.len() / stride;
-    let (body, tail) = bytes.split_at(count * stride);
     for start in (0..count).step_by(BLOCK) {
         let elements = BLOCK.min(count - start);
-        let block = &body[start * stride..(start + elements) * stride];
+        let block = &bytes[start * stride..(start + elements) * stride];
         for k in 0..stride {
             let plane = &mut planes[k * count + start..][..elements];
             for (out, element) in plane.iter_mut().zip(block.chunks_exact(stride)) {
@@ -219,24 +283,22 @@ fn shuffle(bytes: &[u8], stride: usize, planes: &mut Vec<u8>) {
             }
         }
     }
-    planes[count * stride..].copy_from_slice(tail);
 }
 
-/// The inverse of [`shuffle`].
-fn unshuffle(planes: &[u8], stride: usize, out: &mut [u8]) {
-    let count = out.len() / stride;
-    let (body, tail) = out.split_at_mut(count * stride);
-    for start in (0..count).step_by(BLOCK) {
-        let elements = BLOCK.min(count - start);
-        let block = &mut body[start * stride..(start + elements) * stride];
-        for k in 0..stride {
-            let plane = &planes[k * count + start..][..elements];
-            for (element, &byte) in block.chunks_exact_mut(stride).zip(plane) {
+/// The inverse of [`shuffle`], from one slice a plane.
+fn unshuffle(planes: &[&[u8]], out: &mut [u8]) {
+    let stride = planes.len();
+    if stride == 0 {
+        return;
+    }
+    for (number, block) in out.chunks_mut(BLOCK * stride).enumerate() {
+        let start = number * BLOCK;
+        for (k, plane) in planes.iter().enumerate() {
+            for (element, &byte) in block.chunks_exact_mut(stride).zip(&plane[start..]) {
                 element[k] = byte;
             }
         }
     }
-    tail.copy_from_slice(&planes[count * stride..]);
 }
 
 /// Replaces each integer by its difference to the one before (the first by its difference to 0), wrapping.
@@ -278,10 +340,11 @@ mod tests {
             .map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8)
             .collect();
         for stride in [1, 2, 3, 4, 8, 12, 44] {
+            let bytes = &bytes[..bytes.len() / stride * stride];
             let mut planes = Vec::new();
-            shuffle(&bytes, stride, &mut planes);
+            shuffle(bytes, stride, &mut planes);
             let mut back = vec![0; bytes.len()];
-            unshuffle(&planes, stride, &mut back);
+            unshuffle(&planes.chunks(bytes.len() / stride).collect::<Vec<_>>(), &mut back);
             assert_eq!(back, bytes, "stride {stride}");
         }
         for size in [1, 2, 4] {

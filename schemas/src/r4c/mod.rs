@@ -36,6 +36,9 @@ pub use writer::{Chunk, Writer};
 /// Container version this code writes, and the largest major version it reads.
 pub const CONTAINER_VERSION: (u16, u16) = (1, 0);
 
+/// Required-feature bit: some stream has [`Codec::PlanesZstd`].
+pub const FEATURE_PLANES: u32 = 1;
+
 /// Metadata key of the provenance (canonical JSON).
 pub(crate) const META_PROVENANCE: &str = "provenance";
 /// Metadata key of the content hash (hex).

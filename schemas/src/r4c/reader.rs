@@ -14,8 +14,8 @@ use super::layout::{
     Prologue, align8, blocks_hash, schema_id,
 };
 use super::stream::{Codec, Element, StreamInfo, StreamSpec};
-use super::writer::{Schema, value_spec};
-use super::{CONTAINER_VERSION, META_CONTENT, META_PROVENANCE, codec};
+use super::writer::{Schema, required_features, value_spec};
+use super::{CONTAINER_VERSION, FEATURE_PLANES, META_CONTENT, META_PROVENANCE, codec};
 use crate::error::{Error, Result};
 use crate::key::{CacheKey, ContentHash, Provenance};
 use crate::record::{FileInfo, SchemaId};
@@ -162,7 +162,7 @@ impl Reader {
         }
         let prologue =
             Prologue::from_bytes(&edge(&file, 0).map_err(io("reading"))?).map_err(|(at, c)| damaged(at, c))?;
-        if prologue.container.0 > CONTAINER_VERSION.0 || prologue.required_features != 0 {
+        if prologue.container.0 > CONTAINER_VERSION.0 || prologue.required_features & !FEATURE_PLANES != 0 {
             return Err(Error::WrongKind {
                 path: path.to_owned(),
                 found: format!(
@@ -526,6 +526,9 @@ fn check_schema(schema: &Schema, prologue: &Prologue) -> std::result::Result<(Pr
         if schema.streams[..number].iter().any(|other| other.name == stream.name) {
             return Err(format!("two streams are named `{}`", stream.name));
         }
+    }
+    if required_features(&schema.streams) != prologue.required_features {
+        return Err("the codecs do not fit the features that the prologue announces".into());
     }
     if !schema.metadata.is_sorted_by(|a, b| a.0 < b.0) {
         return Err("metadata keys are not sorted".into());

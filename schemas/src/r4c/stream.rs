@@ -104,6 +104,10 @@ pub enum Codec {
     ShuffleZstd,
     /// Differences of successive scalars (integers only), then shuffle and zstd.
     DeltaShuffleZstd,
+    /// Bytes transposed as for `ShuffleZstd`, then each byte plane by itself: one zstd frame, or as it is where that
+    /// would not be smaller. A list of stored lengths (u32 a plane) comes first. The low bytes of floats are noise, which
+    /// costs nothing this way, and the others get statistics of their own. Needs [`FEATURE_PLANES`](super::FEATURE_PLANES).
+    PlanesZstd,
 }
 
 impl Codec {
@@ -115,15 +119,21 @@ impl Codec {
             Self::Zstd => 1,
             Self::ShuffleZstd => 2,
             Self::DeltaShuffleZstd => 3,
+            Self::PlanesZstd => 4,
         }
     }
 
     /// The codec of a number in the index.
     #[must_use]
     pub fn from_number(number: u16) -> Option<Self> {
-        [Self::Raw, Self::Zstd, Self::ShuffleZstd, Self::DeltaShuffleZstd]
-            .into_iter()
-            .find(|c| c.number() == number)
+        let all = [
+            Self::Raw,
+            Self::Zstd,
+            Self::ShuffleZstd,
+            Self::DeltaShuffleZstd,
+            Self::PlanesZstd,
+        ];
+        all.into_iter().find(|codec| codec.number() == number)
     }
 }
 
@@ -153,7 +163,7 @@ impl StreamSpec {
         let channels = shape.last().copied().filter(|&last| last <= 64).unwrap_or(1).max(1);
         let stride = match self.codec {
             Codec::Raw | Codec::Zstd => 1,
-            Codec::ShuffleZstd => self.dtype.size() as u32 * channels,
+            Codec::ShuffleZstd | Codec::PlanesZstd => self.dtype.size() as u32 * channels,
             Codec::DeltaShuffleZstd => self.dtype.size() as u32,
         };
         StreamInfo {
@@ -223,7 +233,9 @@ impl StreamInfo {
         let size = self.dtype.size() as u32;
         let stride_fits = match self.codec {
             Codec::Raw | Codec::Zstd => self.stride == 1,
-            Codec::ShuffleZstd => self.stride > 0 && self.stride.is_multiple_of(size) && self.stride <= 64 * size,
+            Codec::ShuffleZstd | Codec::PlanesZstd => {
+                self.stride > 0 && self.stride.is_multiple_of(size) && self.stride <= 64 * size
+            }
             Codec::DeltaShuffleZstd => self.stride == size,
         };
         (!stride_fits).then(|| format!("stream `{name}` has transposition stride {}", self.stride))

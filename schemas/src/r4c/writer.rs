@@ -13,7 +13,7 @@ use super::layout::{
     EDGE, FLAG_CONSTANT, Footer, IndexEntry, MAX_BLOCK, MAX_CHUNK, MAX_CHUNKS, Prologue, align8, blocks_hash, schema_id,
 };
 use super::stream::{Codec, Dtype, Element, Frame, StreamInfo, StreamSpec, Unit};
-use super::{CONTAINER_VERSION, META_CONTENT, META_PROVENANCE, codec};
+use super::{CONTAINER_VERSION, FEATURE_PLANES, META_CONTENT, META_PROVENANCE, codec};
 use crate::error::{Error, Result};
 use crate::key::{CacheKey, ContentHash, Provenance, canonical_json};
 use crate::record::SchemaId;
@@ -149,6 +149,7 @@ impl Writer {
             (META_CONTENT.to_owned(), content.to_string()),
             (META_PROVENANCE.to_owned(), self.provenance.clone()),
         ];
+        let required_features = required_features(&self.streams);
         let schema = Schema {
             name: self.schema.name.to_owned(),
             streams: std::mem::take(&mut self.streams),
@@ -162,7 +163,7 @@ impl Writer {
         let footer_offset = (index_offset + index.len() as u64).next_multiple_of(8);
         let prologue = Prologue {
             container: CONTAINER_VERSION,
-            required_features: 0,
+            required_features,
             schema_id: schema_id(self.schema.name),
             schema_version: version,
             key: self.key,
@@ -207,6 +208,12 @@ impl Writer {
             what: what.into(),
         }
     }
+}
+
+/// Feature bits that a reader of these streams must know.
+pub(crate) fn required_features(streams: &[StreamInfo]) -> u32 {
+    let planes = streams.iter().any(|stream| stream.codec == Codec::PlanesZstd);
+    if planes { FEATURE_PLANES } else { 0 }
 }
 
 fn store(

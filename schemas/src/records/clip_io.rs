@@ -24,7 +24,7 @@ const DEPTH: StreamSpec = StreamSpec {
     dtype: Dtype::F32,
     unit: Unit::Metre,
     frame: Frame::Camera,
-    codec: Codec::ShuffleZstd,
+    codec: Codec::PlanesZstd,
     fill: "NaN: unknown",
 };
 const TRACK_CAMERA: StreamSpec = StreamSpec {
@@ -40,7 +40,7 @@ const TRACK_PIXEL: StreamSpec = StreamSpec {
     dtype: Dtype::F32,
     unit: Unit::Pixel,
     frame: Frame::None,
-    codec: Codec::ShuffleZstd,
+    codec: Codec::PlanesZstd,
     fill: "",
 };
 const TRACK_POSITION: StreamSpec = StreamSpec {
@@ -48,7 +48,7 @@ const TRACK_POSITION: StreamSpec = StreamSpec {
     dtype: Dtype::F32,
     unit: Unit::Metre,
     frame: Frame::RobotBase,
-    codec: Codec::ShuffleZstd,
+    codec: Codec::PlanesZstd,
     fill: "NaN: undefined",
 };
 const TRACK_VISIBLE: StreamSpec = StreamSpec {

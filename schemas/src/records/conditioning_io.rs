@@ -33,7 +33,7 @@ const DEPTH: StreamSpec = StreamSpec {
     dtype: Dtype::F32,
     unit: Unit::Metre,
     frame: Frame::Camera,
-    codec: Codec::ShuffleZstd,
+    codec: Codec::PlanesZstd,
     fill: "",
 };
 /// FK displacements, one chunk per (view, query).
@@ -42,7 +42,7 @@ const DISPLACEMENT: StreamSpec = StreamSpec {
     dtype: Dtype::F32,
     unit: Unit::InternalUnit,
     frame: Frame::Recon,
-    codec: Codec::ShuffleZstd,
+    codec: Codec::PlanesZstd,
     fill: "",
 };
 

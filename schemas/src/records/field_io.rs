@@ -31,7 +31,7 @@ const fn floats(name: &'static str, unit: Unit, frame: Frame, fill: &'static str
         dtype: Dtype::F32,
         unit,
         frame,
-        codec: Codec::ShuffleZstd,
+        codec: Codec::PlanesZstd,
         fill,
     }
 }

@@ -26,7 +26,7 @@ const VALUES: StreamSpec = StreamSpec {
     dtype: Dtype::F32,
     unit: Unit::One,
     frame: Frame::Recon,
-    codec: Codec::ShuffleZstd,
+    codec: Codec::PlanesZstd,
     fill: "channels 0 to 2 are metres",
 };
 
@@ -36,7 +36,7 @@ const RESUME_STATE: StreamSpec = StreamSpec {
     dtype: Dtype::F32,
     unit: Unit::One,
     frame: Frame::None,
-    codec: Codec::ShuffleZstd,
+    codec: Codec::PlanesZstd,
     fill: "",
 };
 

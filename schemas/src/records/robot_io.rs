@@ -15,7 +15,7 @@ const DEPTH: StreamSpec = StreamSpec {
     dtype: Dtype::F32,
     unit: Unit::Metre,
     frame: Frame::Camera,
-    codec: Codec::ShuffleZstd,
+    codec: Codec::PlanesZstd,
     fill: "0: nothing hit",
 };
 /// Link ids, one chunk per map.

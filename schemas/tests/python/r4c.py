@@ -11,7 +11,7 @@ import zstandard
 DTYPES = ["u1", "u2", "u4", "i4", "f2", "f4", "f8"]
 UNITS = ["1", "m", "iu", "rad", "px", "s"]
 FRAMES = ["none", "recon", "robot_base", "camera"]
-CODECS = ["raw", "zstd", "shuffle+zstd", "delta+shuffle+zstd"]
+CODECS = ["raw", "zstd", "shuffle+zstd", "delta+shuffle+zstd", "planes+zstd"]
 
 
 class Cursor:
@@ -64,7 +64,10 @@ def read(path):
         if flags & 1:
             payload *= decoded // stored
         elif codec:
-            payload = unpack(payload, max_output_size=decoded)
+            if codec == 4:
+                payload = planes(payload, info["stride"], decoded // info["stride"], unpack)
+            else:
+                payload = unpack(payload, max_output_size=decoded)
             if codec >= 2:
                 payload = unshuffle(payload, info["stride"])
             if codec == 3:
@@ -72,6 +75,16 @@ def read(path):
         assert len(payload) == decoded
         chunks[which].append((coordinates, payload))
     return name, metadata, {info["name"]: (info, part) for info, part in zip(streams, chunks)}
+
+
+def planes(payload, stride, count, unpack):
+    lengths, at, out = struct.unpack_from(f"<{stride}I", payload), 4 * stride, b""
+    for length in lengths:
+        plane = payload[at : at + length]
+        out += plane if length == count else unpack(plane, max_output_size=count)
+        at += length
+    assert at == len(payload)
+    return out
 
 
 def unshuffle(planes, stride):
