@@ -146,7 +146,12 @@ impl Builder<'_> {
                 _ => &[("", false)],
             };
             for &(method, refined) in rounds {
-                let node = self.node(stage, index, variant, &made, method, refined)?;
+                // Rows of the paper's tables are named like `stage1+2/no-mesh/no-fk`.
+                let method = match variant {
+                    Some(variant) => format!("{method}/{}", variant.name.replace('+', "/")),
+                    None => method.to_owned(),
+                };
+                let node = self.node(stage, index, variant, &made, &method, refined)?;
                 let node = self.add(node, index);
                 made.insert(stage, node);
             }

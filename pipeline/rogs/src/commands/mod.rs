@@ -7,6 +7,7 @@ mod engines;
 mod fk;
 mod inspect;
 mod plan;
+mod query;
 mod render;
 mod run;
 mod status;
@@ -44,6 +45,7 @@ enum Command {
     Table(table::Args),
     Synth(synth::Args),
     Render(render::Args),
+    Query(query::Args),
     Inspect(inspect::Args),
     Fk(fk::Args),
     Doctor(doctor::Args),
@@ -65,6 +67,7 @@ pub(crate) fn run(command_line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Verify(args) => status::show_verify(&args),
         Command::Report(args) => status::make_report(&args),
         Command::Table(args) => table::run(&args),
+        Command::Query(args) => query::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Fk(args) => fk::run(&args),

@@ -14,27 +14,34 @@ use serde::{Deserialize, Serialize};
 use crate::output;
 
 /// Renders a field of ours at a stored time, or any 3DGS PLY, to PNG and EXR.
-///
-/// The camera file is JSON, one camera or a list: {"name": "view", "width": 280, "height": 154, "intrinsics": {"fx": 116,
-/// "fy": 116, "cx": 140, "cy": 77}, "base_from_camera": [[1,0,0,0.5],[0,1,0,0],[0,0,1,0.4],[0,0,0,1]]}. Pixel centres at
-/// + 0.5; camera axes OpenCV; metres. Say `recon_from_camera` for a pose in the reconstruction frame; for a PLY its world
-/// is meant by either.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// A field (`field-1.r4c`) or a PLY file.
     scene: PathBuf,
-    /// Camera file (JSON).
-    #[arg(long, value_name = "JSON")]
-    camera: PathBuf,
-    /// Folder for the pictures; made when missing.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-    /// Normalised time in 0..1; the nearest stored time must be within 1e-6. Default: the first stored time.
+    /// Normalised time in 0..1; the nearest stored time must be within 1e-6 (`rogs query` answers others). Default: the
+    /// first stored time.
     #[arg(long)]
     time: Option<f64>,
     /// Correction of Stage 2 to apply (`field-2.r4c`).
     #[arg(long, value_name = "FILE")]
     refinement: Option<PathBuf>,
+    #[command(flatten)]
+    view: ViewArgs,
+}
+
+/// From where, and what is written.
+#[derive(Debug, clap::Args)]
+pub(crate) struct ViewArgs {
+    /// Camera file: JSON, one camera or a list of them.
+    ///
+    /// {"name": "view", "width": 280, "height": 154, "intrinsics": {"fx": 116, "fy": 116, "cx": 140, "cy": 77},
+    /// "base_from_camera": [[1,0,0,0.5],[0,1,0,0],[0,0,1,0.4],[0,0,0,1]]}. Pixel centres at + 0.5; camera axes OpenCV;
+    /// metres. Say `recon_from_camera` for a pose in the reconstruction frame; for a PLY its world is meant by either.
+    #[arg(long, value_name = "JSON")]
+    camera: PathBuf,
+    /// Folder for the pictures; made when missing.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
     /// Also write expected depth (camera z, metres; 0 where nothing is) as NAME.depth.exr.
     #[arg(long)]
     depth: bool,
@@ -90,12 +97,57 @@ struct Scene {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    if args.scene.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ply")) {
+        ensure!(args.refinement.is_none(), "a PLY file takes no refinement");
+        ensure!(args.time.is_none(), "a PLY file holds one time; leave `--time` out");
+        let scene = rogs_splat::ply::read_ply_file(&args.scene)?;
+        let recon_from_base = Pose::from_matrix4(&IDENTITY)?;
+        let scene = Scene { gaussians: scene.gaussians, time: None, units_per_metre: 1.0, recon_from_base };
+        return render_scene(&scene, &args.view);
+    }
+    let (field, _) = read_record::<Field>(&args.scene)?;
+    let mut stored = field.slices.iter().map(|slice| slice.time);
+    let time = match args.time {
+        None => stored.next(),
+        Some(asked) => stored.find(|time| (time - asked).abs() < 1e-6),
+    };
+    let Some(time) = time else {
+        let stored: Vec<String> = field.slices.iter().map(|slice| slice.time.to_string()).collect();
+        bail!("the field stores no values at this time; `rogs query` answers any; stored times: {}", stored.join(", "));
+    };
+    render_field(&field, args.refinement.as_deref(), time, &args.view)
+}
+
+/// Renders a field at a time that it stores, with the correction of a refinement file where one is given.
+pub(crate) fn render_field(
+    field: &Field,
+    refinement: Option<&Path>,
+    time: f64,
+    view: &ViewArgs,
+) -> anyhow::Result<ExitCode> {
+    let refinement = match refinement {
+        Some(path) => Some(read_record::<Refinement>(path)?.0),
+        None => None,
+    };
+    let mut timed = TimedField::new(field)?;
+    if let Some(refinement) = &refinement {
+        timed = timed.with_refinement(refinement)?;
+    }
+    let scene = Scene {
+        gaussians: timed.gaussians(time)?,
+        time: Some(time),
+        units_per_metre: rogs_schemas::units::UNITS_PER_METRE,
+        recon_from_base: Pose::from_rigid(&field.recon_from_base)?,
+    };
+    render_scene(&scene, view)
+}
+
+fn render_scene(scene: &Scene, args: &ViewArgs) -> anyhow::Result<ExitCode> {
     let cameras = read_cameras(&args.camera)?;
-    let scene = read_scene(args)?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("making `{}`", args.out.display()))?;
     let mut rendered = Vec::new();
     for spec in &cameras {
-        let view = render(&scene.gaussians, &camera(spec, &scene)?, &RasterConfig::default())?;
+        let view = render(&scene.gaussians, &camera(spec, scene)?, &RasterConfig::default())?;
         rendered.push(Rendered {
             camera: spec.name.clone(),
             files: write(args, spec, &view, scene.units_per_metre)?,
@@ -107,17 +159,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     }
     if args.json {
         output::json(&rendered)?;
-    } else {
-        for view in &rendered {
-            for file in &view.files {
-                output::text(&file.display().to_string())?;
-            }
-            if view.invalid > 0 {
-                output::note(&format!(
-                    "{}: {} Gaussians have invalid values and were left out",
-                    view.camera, view.invalid
-                ));
-            }
+        return Ok(ExitCode::SUCCESS);
+    }
+    for view in &rendered {
+        for file in &view.files {
+            output::text(&file.display().to_string())?;
+        }
+        if view.invalid > 0 {
+            output::note(&format!("{}: {} Gaussians have invalid values and were left out", view.camera, view.invalid));
         }
     }
     Ok(ExitCode::SUCCESS)
@@ -140,53 +189,6 @@ fn read_cameras(path: &Path) -> anyhow::Result<Vec<CameraSpec>> {
         );
     }
     Ok(cameras)
-}
-
-fn read_scene(args: &Args) -> anyhow::Result<Scene> {
-    if args
-        .scene
-        .extension()
-        .is_some_and(|extension| extension.eq_ignore_ascii_case("ply"))
-    {
-        ensure!(args.refinement.is_none(), "a PLY file takes no refinement");
-        ensure!(args.time.is_none(), "a PLY file holds one time; leave `--time` out");
-        let scene = rogs_splat::ply::read_ply_file(&args.scene)?;
-        let recon_from_base = Pose::from_matrix4(&IDENTITY)?;
-        return Ok(Scene {
-            gaussians: scene.gaussians,
-            time: None,
-            units_per_metre: 1.0,
-            recon_from_base,
-        });
-    }
-    let (field, _) = read_record::<Field>(&args.scene)?;
-    let refinement = match &args.refinement {
-        Some(path) => Some(read_record::<Refinement>(path)?.0),
-        None => None,
-    };
-    let mut timed = TimedField::new(&field)?;
-    if let Some(refinement) = &refinement {
-        timed = timed.with_refinement(refinement)?;
-    }
-    let stored: Vec<f64> = field.slices.iter().map(|slice| slice.time).collect();
-    let time = match args.time {
-        None => stored.first().copied(),
-        Some(asked) => stored.iter().copied().find(|time| (time - asked).abs() < 1e-6),
-    };
-    let Some(time) = time else {
-        let stored: Vec<String> = stored.iter().map(f64::to_string).collect();
-        bail!(
-            "the field stores no values at time {}; stored times: {}",
-            args.time.map_or_else(|| "0".to_owned(), |time| time.to_string()),
-            stored.join(", ")
-        );
-    };
-    Ok(Scene {
-        gaussians: timed.gaussians(time)?,
-        time: Some(time),
-        units_per_metre: rogs_schemas::units::UNITS_PER_METRE,
-        recon_from_base: Pose::from_rigid(&field.recon_from_base)?,
-    })
 }
 
 const IDENTITY: [f64; 16] = [1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1.];
@@ -214,7 +216,7 @@ fn camera(spec: &CameraSpec, scene: &Scene) -> anyhow::Result<Camera> {
     ))
 }
 
-fn write(args: &Args, spec: &CameraSpec, view: &Render, units_per_metre: f64) -> anyhow::Result<Vec<PathBuf>> {
+fn write(args: &ViewArgs, spec: &CameraSpec, view: &Render, units_per_metre: f64) -> anyhow::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     let png = args.out.join(format!("{}.png", spec.name));
     let bytes: Vec<u8> = view
