@@ -1,4 +1,5 @@
 //! Readers of robots and meshes on random and damaged files: no panic, bounded memory, always a message.
+//! More cases with `PROPTEST_CASES=100000`.
 
 mod common;
 
@@ -146,7 +147,7 @@ fn edits() -> impl Strategy<Value = Vec<(u8, u16, u16, u8)>> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn random_bytes_are_no_mesh_and_no_harm(bytes in prop::collection::vec(any::<u8>(), 0..2000)) {
@@ -203,6 +204,12 @@ fn the_examples_themselves_are_read() {
 }
 
 #[test]
+fn positions_without_an_accessor_are_refused() {
+    let text = GLTF.replace(r#""POSITION":0"#, r#""POSITION":9"#);
+    assert!(parse("gltf", text.as_bytes()).unwrap_err().contains("accessor 9 of 2"));
+}
+
+#[test]
 fn robots_with_wrong_structure_are_refused_with_the_reason() {
     let wrong = |from: &str, to: &str| load_robot(URDF.replace(from, to).as_bytes()).unwrap_err();
     for (from, to, reason) in [
@@ -216,7 +223,7 @@ fn robots_with_wrong_structure_are_refused_with_the_reason() {
             r#"<link name="c"/><link name="d"/>"#,
             "2 root links (a, d)",
         ),
-        (r#"<child link="c"/>"#, r#"<child link="a"/>"#, "root"),
+        (r#"<child link="c"/>"#, r#"<child link="a"/>"#, "cycle"),
         (r#"<child link="c"/>"#, r#"<child link="b"/>"#, "child of two joints"),
         (
             r#"<child link="c"/>"#,
@@ -234,6 +241,7 @@ fn robots_with_wrong_structure_are_refused_with_the_reason() {
             "no limits",
         ),
         (r#"lower="-1""#, r#"lower="nan""#, "not finite"),
+        (r#"lower="-1""#, r#"lower="2""#, "reversed"),
         (r#"xyz="0 0 0""#, r#"xyz="0 inf 0""#, "not finite"),
         (r#"<box size="1 1 1"/>"#, r#"<box size="1 -1 1"/>"#, "box side"),
         (

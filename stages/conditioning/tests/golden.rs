@@ -1,7 +1,5 @@
 //! The conditioning maps against `project_fk_conditioning` of the Stage-1 reference vectors.
 
-use std::path::{Path, PathBuf};
-
 use rogs_conditioning::{Params, build};
 use rogs_geometry::{Base, Camera, Link, Pose, Recon};
 use rogs_robot_maps::{SupportRule, valid_support};
@@ -14,18 +12,12 @@ const H: usize = 28;
 const W: usize = 42;
 const AREA: usize = H * W;
 
-fn golden_path() -> Option<PathBuf> {
-    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
-    let root = std::env::var_os("ROGS_SHARED").map_or(beside, PathBuf::from);
-    let path = root.join("golden/stage1/project_fk_conditioning.safetensors");
-    if !path.exists() {
-        eprintln!(
-            "skipped: `{}` is absent; set ROGS_SHARED to the folder of reference data",
-            path.display()
-        );
-        return None;
-    }
-    Some(path)
+fn golden() -> Vec<u8> {
+    let path = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/tests/golden/project_fk_conditioning.safetensors"
+    );
+    std::fs::read(path).unwrap()
 }
 
 fn floats(file: &SafeTensors<'_>, name: &str) -> Vec<f32> {
@@ -162,8 +154,7 @@ fn records(file: &SafeTensors<'_>) -> (Clip, RobotMaps) {
 
 #[test]
 fn kappa_agrees_channel_by_channel() {
-    let Some(path) = golden_path() else { return };
-    let bytes = std::fs::read(path).unwrap();
+    let bytes = golden();
     let file = SafeTensors::deserialize(&bytes).unwrap();
     let (clip, robot) = records(&file);
     let conditioning = build(&clip, &robot, &Params::default()).unwrap();
@@ -194,8 +185,7 @@ fn kappa_agrees_channel_by_channel() {
 
 #[test]
 fn the_frame_convention_is_that_of_the_golden_poses() {
-    let Some(path) = golden_path() else { return };
-    let bytes = std::fs::read(path).unwrap();
+    let bytes = golden();
     let file = SafeTensors::deserialize(&bytes).unwrap();
     let (_, robot) = records(&file);
     let golden = floats(&file, "C_internal");
@@ -212,8 +202,7 @@ fn the_frame_convention_is_that_of_the_golden_poses() {
 
 #[test]
 fn support_is_the_eroded_coverage() {
-    let Some(path) = golden_path() else { return };
-    let bytes = std::fs::read(path).unwrap();
+    let bytes = golden();
     let file = SafeTensors::deserialize(&bytes).unwrap();
     let (raw, support, depth) = (
         floats(&file, "raw_support"),
@@ -238,8 +227,7 @@ fn support_is_the_eroded_coverage() {
 
 #[test]
 fn a_link_that_stays_gives_zero_displacement() {
-    let Some(path) = golden_path() else { return };
-    let bytes = std::fs::read(path).unwrap();
+    let bytes = golden();
     let file = SafeTensors::deserialize(&bytes).unwrap();
     let (clip, mut robot) = records(&file);
     let still: Vec<RigidPose> = robot.base_from_link[..3].to_vec();
@@ -256,8 +244,7 @@ fn a_link_that_stays_gives_zero_displacement() {
 
 #[test]
 fn the_fast_dense_fill_equals_the_record_s_dense_map() {
-    let Some(path) = golden_path() else { return };
-    let bytes = std::fs::read(path).unwrap();
+    let bytes = golden();
     let file = SafeTensors::deserialize(&bytes).unwrap();
     let (clip, robot) = records(&file);
     let conditioning = build(&clip, &robot, &Params::default()).unwrap();
@@ -280,8 +267,7 @@ fn the_fast_dense_fill_equals_the_record_s_dense_map() {
 
 #[test]
 fn records_of_different_clips_are_refused() {
-    let Some(path) = golden_path() else { return };
-    let bytes = std::fs::read(path).unwrap();
+    let bytes = golden();
     let file = SafeTensors::deserialize(&bytes).unwrap();
     let (clip, mut robot) = records(&file);
     robot.maps.remove(0);

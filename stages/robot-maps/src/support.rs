@@ -80,7 +80,7 @@ mod tests {
             },
         );
         assert_eq!(count(&whole), 5 * 4);
-        let full = valid_support(&vec![1.0; 42], &vec![0; 42], W, H, &SupportRule::default());
+        let full = valid_support(&[1.0; 42], &[0; 42], W, H, &SupportRule::default());
         assert_eq!(count(&full), (W - 2) * (H - 2), "image borders count as uncovered");
     }
 

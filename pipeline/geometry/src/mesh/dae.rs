@@ -207,7 +207,7 @@ impl<'a, 'i> Reader<'a, 'i> {
             let corners = corners(&numbers::<u32>(indices)?, stride, offset, start, count)?;
             match primitive.tag_name().name() {
                 "triangles" => {
-                    if corners.len() % 3 != 0 {
+                    if !corners.len().is_multiple_of(3) {
                         return Err(format!("{} corners make no triangles", corners.len()));
                     }
                     self.mesh
@@ -245,7 +245,7 @@ impl<'a, 'i> Reader<'a, 'i> {
             ),
             None => (3, 0),
         };
-        if stride < 3 || stride > 64 {
+        if !(3..=64).contains(&stride) {
             return Err(format!("positions have a stride of {stride}"));
         }
         let values = values.get(offset..).ok_or("positions start beyond their array")?;

@@ -11,11 +11,15 @@ const MAX_INSTANCES: usize = 20_000;
 const MAX_DEPTH: usize = 64;
 
 pub(super) fn parse(bytes: &[u8], external: &dyn Fn(&str) -> Parsed<Vec<u8>>) -> Parsed<Mesh> {
-    let file = gltf::Gltf::from_slice(bytes).map_err(|error| format!("no glTF: {error}"))?;
+    let refuse = |error: gltf::Error| format!("no glTF: {error}");
+    let gltf::Gltf { document, blob } = gltf::Gltf::from_slice_without_validation(bytes).map_err(refuse)?;
+    let root = document.into_json();
+    check_attributes(&root)?;
+    let file = gltf::Document::from_json(root).map_err(refuse)?;
     if let Some(name) = file.extensions_required().next() {
         return Err(format!("it requires the extension `{name}`, which is not supported"));
     }
-    let buffers = buffers(&file, external)?;
+    let buffers = buffers(&file, blob, external)?;
     let mut reader = Reader {
         buffers,
         mesh: Mesh::default(),
@@ -31,13 +35,26 @@ pub(super) fn parse(bytes: &[u8], external: &dyn Fn(&str) -> Parsed<Vec<u8>>) ->
     Ok(reader.mesh)
 }
 
-fn buffers(file: &gltf::Gltf, external: &dyn Fn(&str) -> Parsed<Vec<u8>>) -> Parsed<Vec<Vec<u8>>> {
+/// The validation of the `gltf` crate looks up position accessors before it has checked their indices.
+fn check_attributes(root: &gltf::json::Root) -> Parsed<()> {
+    let primitives = root.meshes.iter().flat_map(|mesh| &mesh.primitives);
+    let mut accessors = primitives.flat_map(|primitive| primitive.attributes.values());
+    match accessors.find(|accessor| accessor.value() >= root.accessors.len()) {
+        Some(accessor) => Err(format!("accessor {} of {}", accessor.value(), root.accessors.len())),
+        None => Ok(()),
+    }
+}
+
+fn buffers(
+    file: &gltf::Document,
+    blob: Option<Vec<u8>>,
+    external: &dyn Fn(&str) -> Parsed<Vec<u8>>,
+) -> Parsed<Vec<Vec<u8>>> {
     let mut buffers = Vec::new();
     let mut total = 0usize;
     for buffer in file.buffers() {
         let data = match buffer.source() {
-            gltf::buffer::Source::Bin => file
-                .blob
+            gltf::buffer::Source::Bin => blob
                 .clone()
                 .ok_or("it refers to a binary chunk that it does not have")?,
             gltf::buffer::Source::Uri(uri) => match uri.strip_prefix("data:") {
@@ -138,7 +155,7 @@ impl Reader {
                     .extend(corners.windows(2).skip(1).map(|w| shifted(corners[0], w[0], w[1])));
             }
             _ => {
-                if corners.len() % 3 != 0 {
+                if !corners.len().is_multiple_of(3) {
                     return Err(format!("{} corners make no triangles", corners.len()));
                 }
                 self.mesh

@@ -285,34 +285,65 @@ fn resolve(scene: &MeshScene, camera: &Pinhole, layers: &[Vec<u64>]) -> MeshImag
         link: vec![NO_LINK; area],
         triangle: vec![NO_TRIANGLE; area],
     };
-    let fill = |(chunk, ((depth, link), triangle)): (usize, ((&mut [f32], &mut [u8]), &mut [u32]))| {
-        let first = chunk * RESOLVE_CHUNK;
-        for pixel in 0..depth.len() {
-            let nearest = layers.iter().map(|layer| layer[first + pixel]).min().unwrap_or(EMPTY);
-            if nearest != EMPTY {
-                let number = nearest as u32;
-                depth[pixel] = f32::from_bits((nearest >> 32) as u32);
-                link[pixel] = scene.triangle_link[number as usize];
-                triangle[pixel] = number;
-            }
-        }
+    let planes = Planes {
+        first: 0,
+        depth_m: &mut image.depth_m,
+        link: &mut image.link,
+        triangle: &mut image.triangle,
     };
-    let MeshImage {
-        depth_m,
-        link,
-        triangle,
-        ..
-    } = &mut image;
     if layers.len() == 1 {
-        fill((0, ((depth_m, link), triangle)));
+        planes.fill(scene, layers);
     } else {
-        let planes = depth_m
-            .par_chunks_mut(RESOLVE_CHUNK)
-            .zip(link.par_chunks_mut(RESOLVE_CHUNK));
         planes
-            .zip(triangle.par_chunks_mut(RESOLVE_CHUNK))
-            .enumerate()
-            .for_each(fill);
+            .split(RESOLVE_CHUNK)
+            .into_par_iter()
+            .for_each(|chunk| chunk.fill(scene, layers));
     }
     image
+}
+
+/// A run of pixels of an image.
+struct Planes<'a> {
+    first: usize,
+    depth_m: &'a mut [f32],
+    link: &'a mut [u8],
+    triangle: &'a mut [u32],
+}
+
+impl<'a> Planes<'a> {
+    fn split(self, size: usize) -> Vec<Planes<'a>> {
+        let Self {
+            depth_m,
+            link,
+            triangle,
+            ..
+        } = self;
+        let chunks = depth_m
+            .chunks_mut(size)
+            .zip(link.chunks_mut(size))
+            .zip(triangle.chunks_mut(size));
+        let chunk = |(index, ((depth_m, link), triangle))| Planes {
+            first: index * size,
+            depth_m,
+            link,
+            triangle,
+        };
+        chunks.enumerate().map(chunk).collect()
+    }
+
+    fn fill(self, scene: &MeshScene, layers: &[Vec<u64>]) {
+        for pixel in 0..self.depth_m.len() {
+            let nearest = layers
+                .iter()
+                .map(|layer| layer[self.first + pixel])
+                .min()
+                .unwrap_or(EMPTY);
+            if nearest != EMPTY {
+                let number = nearest as u32;
+                self.depth_m[pixel] = f32::from_bits((nearest >> 32) as u32);
+                self.link[pixel] = scene.triangle_link[number as usize];
+                self.triangle[pixel] = number;
+            }
+        }
+    }
 }

@@ -193,6 +193,8 @@ fn joints(robot: &urdf_rs::Robot) -> Checked<Vec<Joint>> {
     let by_name: BTreeMap<&str, &urdf_rs::Joint> =
         robot.joints.iter().map(|joint| (joint.name.as_str(), joint)).collect();
     check_mimics(&by_name)?;
+    // `k` panics on reversed limits of any joint, so nothing unchecked reaches it.
+    robot.joints.iter().try_for_each(check_limits)?;
     let chain = k::Chain::<f64>::from(robot);
     let order: Vec<String> = chain.iter().map(|node| node.joint().name.clone()).collect();
     let order: Vec<&str> = order
@@ -250,6 +252,21 @@ fn joint_axis(joint: &urdf_rs::Joint, kind: JointKind) -> Checked<DVec3> {
     Ok(axis / length)
 }
 
+fn check_limits(joint: &urdf_rs::Joint) -> Checked<()> {
+    let urdf_rs::JointLimit { lower, upper, .. } = joint.limit;
+    if !lower.is_finite() || !upper.is_finite() {
+        return Err(format!("joint `{}`: its limits are not finite", joint.name));
+    }
+    if lower > upper {
+        return Err(format!(
+            "joint `{}`: its limits are reversed, from {lower} to {upper}",
+            joint.name
+        ));
+    }
+    Ok(())
+}
+
+/// The limits of a joint that must have some; they were checked before.
 fn joint_limits(joint: &urdf_rs::Joint) -> Checked<Option<[f64; 2]>> {
     if !matches!(
         joint.joint_type,
@@ -258,10 +275,7 @@ fn joint_limits(joint: &urdf_rs::Joint) -> Checked<Option<[f64; 2]>> {
         return Ok(None);
     }
     let urdf_rs::JointLimit { lower, upper, .. } = joint.limit;
-    if !lower.is_finite() || !upper.is_finite() {
-        return Err(format!("joint `{}`: its limits are not finite", joint.name));
-    }
-    if lower >= upper {
+    if lower == upper {
         return Err(format!(
             "joint `{}`: it has no limits or an empty range, from {lower} to {upper}",
             joint.name
