@@ -185,6 +185,7 @@ fn bench_contributions(scene: &Gaussians, rounds: usize) {
     let per = scene.len() / 15;
     let eligible = Eligible::Ranges([0, 5, 10].map(|view| view * per..(view + 1) * per).to_vec());
     let features = room::normals(camera.pixels() * 256, 3);
+    let mut pooled: Vec<f32> = Vec::new();
     for threads in threads() {
         let pool = pool(threads);
         let (mut record, mut pooling) = (Times::default(), Times::default());

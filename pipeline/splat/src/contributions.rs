@@ -168,9 +168,23 @@ pub fn render_views_with_contributions(
     ))
 }
 
-/// Sorts a tile's entries by slot, keeping pixel order: a counting sort, recorded in place.
+/// Sorts a tile's entries by slot, keeping pixel order: a counting sort.
 fn sort_by_slot(tile: &mut TileOutput) {
-    tile.recorded.contributions.sort_by_key(|entry| entry.slot);
+    let entries = &mut tile.recorded.contributions;
+    let mut next = vec![0_u32; tile.list.len() + 1];
+    for entry in entries.iter() {
+        next[entry.slot as usize + 1] += 1;
+    }
+    for slot in 0..tile.list.len() {
+        next[slot + 1] += next[slot];
+    }
+    let mut sorted = entries.clone();
+    for entry in entries.iter() {
+        let place = &mut next[entry.slot as usize];
+        sorted[*place as usize] = *entry;
+        *place += 1;
+    }
+    *entries = sorted;
 }
 
 /// Lays the entries of all tiles out by Gaussian, one piece per chunk of the projection.
@@ -271,6 +285,17 @@ impl Contributions {
     /// # Errors
     /// When the features have another number of values.
     pub fn pool(&self, features: &[f32], channels: usize) -> Result<Vec<f32>> {
+        let mut pooled = vec![0.0; self.rows.len().saturating_mul(channels)];
+        self.pool_into(features, channels, &mut pooled)?;
+        Ok(pooled)
+    }
+
+    /// As [`Contributions::pool`] into memory of the caller's, which saves the cost of fresh memory when many times are
+    /// pooled in turn. What was in it is overwritten.
+    ///
+    /// # Errors
+    /// When the features or the result have another number of values.
+    pub fn pool_into(&self, features: &[f32], channels: usize, pooled: &mut [f32]) -> Result<()> {
         let meaning = format!("{} pixels of {channels} channels", self.pixels);
         SplatError::check(
             "pixel features",
@@ -278,13 +303,19 @@ impl Contributions {
             self.pixels.saturating_mul(channels),
             &meaning,
         )?;
-        let mut pooled = vec![0.0; self.rows.len() * channels];
+        let meaning = format!("{} rows of {channels} channels", self.rows.len());
+        SplatError::check(
+            "pooled features",
+            pooled.len(),
+            self.rows.len().saturating_mul(channels),
+            &meaning,
+        )?;
         if channels == 0 {
-            return Ok(pooled);
+            return Ok(());
         }
         // Views have the same pieces, because these follow from the rows alone.
         let pieces = self.views.first().map_or(0, |view| view.pieces.len());
-        let mut rest = pooled.as_mut_slice();
+        let mut rest = pooled;
         let mut jobs = Vec::with_capacity(pieces);
         for piece in 0..pieces {
             let rows = self.views[0].pieces[piece].rows.len();
@@ -293,6 +324,7 @@ impl Contributions {
             rest = tail;
         }
         jobs.into_par_iter().for_each(|(piece, out)| {
+            out.fill(0.0);
             for view in &self.views {
                 let features = &features[view.pixel_offset * channels..];
                 dispatch(
@@ -306,7 +338,7 @@ impl Contributions {
                 );
             }
         });
-        Ok(pooled)
+        Ok(())
     }
 
     /// Calls `f(row, pixel, weight)` for every entry, by view and row; the pixel counts through all views.

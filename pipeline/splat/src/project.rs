@@ -325,8 +325,7 @@ pub(crate) fn reaches(g: &Projected, x: usize, y: usize, size: usize) -> bool {
         let l = g.la * dx + g.lb * dy;
         g.lc * dy * dy - l * l
     };
-    // Not `>=`: a form that is not a number must stay in, the kernel decides.
-    !(power(ex, y_best).max(power(x_best, ey)) < g.power_min)
+    power(ex, y_best).max(power(x_best, ey)) >= g.power_min
 }
 
 /// Inputs of sixteen Gaussians, component-major.

@@ -138,9 +138,7 @@ impl Extra<'_> {
     #[inline(always)]
     fn copy(&self, gaussian: usize, to: &mut [f32]) {
         let from = gaussian * self.channels + self.first;
-        for k in 0..self.count {
-            to[k] = self.values[from + k];
-        }
+        to[..self.count].copy_from_slice(&self.values[from..from + self.count]);
     }
 }
 
