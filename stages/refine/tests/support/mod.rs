@@ -148,20 +148,27 @@ fn pose(camera: usize) -> RigidPose {
     }
 }
 
+/// A wall one metre away whose texture depends on the seed, seen by a camera, with noise of its own in every frame.
 fn image(sizes: Sizes, camera: usize, seed: u64) -> Vec<u8> {
     let Sizes {
         height, width, frames, ..
     } = sizes;
+    let focal = 0.9 * f64::from(width);
+    let texture = uniform("texture", 9, seed, 1.0);
     let noise = uniform(
         "image",
         frames * (height * width * 3) as usize,
         seed + camera as u64,
-        40.0,
+        12.0,
     );
+    let shift = pose(camera).translation;
     let pixel = |index: usize| {
         let (row, column) = (index / 3 / width as usize % height as usize, index / 3 % width as usize);
-        let base =
-            120.0 + 60.0 * ((row as f32 * 0.7).sin() + (column as f32 * 0.5).cos()) * [1.0, 0.5, -0.7][index % 3];
+        let x = ((column as f64 + 0.5 - f64::from(width) / 2.0) / focal + shift[0]) as f32;
+        let y = ((row as f64 + 0.5 - f64::from(height) / 2.0) / focal + shift[1]) as f32;
+        let waves = (x * (12.0 + 6.0 * texture[0]) + 3.0 * texture[1]).sin()
+            + (y * (12.0 + 6.0 * texture[2]) + 3.0 * texture[3]).cos();
+        let base = 125.0 + 20.0 * texture[4] + 60.0 * waves * texture[5 + index % 3];
         (base + noise[index]).clamp(0.0, 255.0) as u8
     };
     (0..noise.len()).map(pixel).collect()
