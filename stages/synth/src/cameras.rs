@@ -73,15 +73,25 @@ pub struct Resolution {
 
 impl Resolution {
     /// 154 x 280 for all cameras: the resolution of evaluation.
-    pub const EVALUATION: Self = Self { wrist: [154, 280], external: [154, 280] };
+    pub const EVALUATION: Self = Self {
+        wrist: [154, 280],
+        external: [154, 280],
+    };
     /// 352 x 640 and 176 x 320: the resolution of stored recordings.
-    pub const STORED: Self = Self { wrist: [352, 640], external: [176, 320] };
+    pub const STORED: Self = Self {
+        wrist: [352, 640],
+        external: [176, 320],
+    };
 }
 
 /// The hand-eye pose with the mean translation, the mean tilt, and yaw -90 degrees: image x is -y of the flange.
 #[must_use]
 pub fn nominal_hand_eye() -> DAffine3 {
-    hand_eye(DVec3::from_array(HAND_EYE_MEAN), HAND_EYE_TILT_DEG[0].to_radians(), DMat3::IDENTITY)
+    hand_eye(
+        DVec3::from_array(HAND_EYE_MEAN),
+        HAND_EYE_TILT_DEG[0].to_radians(),
+        DMat3::IDENTITY,
+    )
 }
 
 fn hand_eye(translation: DVec3, tilt: f64, extra: DMat3) -> DAffine3 {
@@ -89,7 +99,12 @@ fn hand_eye(translation: DVec3, tilt: f64, extra: DMat3) -> DAffine3 {
 }
 
 /// The six cameras of an episode.
-pub(crate) fn draw_cameras(draw: &mut Draw, resolution: Resolution, noise: Option<[f64; 2]>, table_z: f64) -> [Camera; CAMERAS] {
+pub(crate) fn draw_cameras(
+    draw: &mut Draw,
+    resolution: Resolution,
+    noise: Option<[f64; 2]>,
+    table_z: f64,
+) -> [Camera; CAMERAS] {
     let std = HAND_EYE_STD.map(|s| s * draw.normal());
     let translation = DVec3::from_array(HAND_EYE_MEAN) + DVec3::from_array(std);
     let tilt = (HAND_EYE_TILT_DEG[0] + HAND_EYE_TILT_DEG[1] * draw.normal()).to_radians();
@@ -116,7 +131,13 @@ pub(crate) fn draw_cameras(draw: &mut Draw, resolution: Resolution, noise: Optio
         let (mount, intrinsics, [height, width], baseline) = left[index % 3];
         let eye = DAffine3::from_translation(DVec3::X * if index < 3 { 0.0 } else { baseline });
         let recorded = if noise.is_some() { errors[index % 3] * eye } else { eye };
-        Camera { width, height, intrinsics, mount: moved(mount, eye), recorded_mount: moved(mount, recorded) }
+        Camera {
+            width,
+            height,
+            intrinsics,
+            mount: moved(mount, eye),
+            recorded_mount: moved(mount, recorded),
+        }
     })
 }
 
@@ -146,7 +167,11 @@ fn external_pose(draw: &mut Draw, side: f64, table_z: f64) -> DAffine3 {
         side * draw.range(0.42, 0.88),
         table_z.max(-0.05) + draw.range(0.30, 0.62),
     );
-    let target = DVec3::new(draw.range(0.40, 0.55), draw.range(-0.10, 0.10), table_z + draw.range(0.0, 0.16));
+    let target = DVec3::new(
+        draw.range(0.40, 0.55),
+        draw.range(-0.10, 0.10),
+        table_z + draw.range(0.0, 0.16),
+    );
     let forward = (target - eye).normalize();
     let right = forward.cross(DVec3::Z).normalize();
     let look = DMat3::from_cols(right, forward.cross(right), forward);
@@ -170,7 +195,11 @@ mod tests {
     fn right_eyes_stand_a_baseline_to_the_right() {
         let cameras = draw_cameras(&mut Draw::new(5, 0), Resolution::EVALUATION, Some([0.003, 0.004]), 0.0);
         for index in 0..3 {
-            let baseline = if index == 0 { ZED_MINI_BASELINE[0] } else { ZED2_BASELINE[0] };
+            let baseline = if index == 0 {
+                ZED_MINI_BASELINE[0]
+            } else {
+                ZED2_BASELINE[0]
+            };
             let pose = DAffine3::from_translation(DVec3::new(0.3, 0.1, 0.4));
             let left = cameras[index].base_from_camera(&pose);
             let right = cameras[index + 3].base_from_camera(&pose);
@@ -187,7 +216,9 @@ mod tests {
         for seed in 0..20 {
             let cameras = draw_cameras(&mut Draw::new(seed, 0), Resolution::STORED, None, 0.0);
             for (index, side) in [(1, 1.0), (2, -1.0)] {
-                let Mount::Fixed(pose) = cameras[index].mount else { panic!("a fixed camera") };
+                let Mount::Fixed(pose) = cameras[index].mount else {
+                    panic!("a fixed camera")
+                };
                 assert!(pose.translation.y * side > 0.4);
                 assert!(pose.matrix3.z_axis.z < 0.0 && pose.matrix3.y_axis.z < -0.5);
                 assert!((pose.matrix3.determinant() - 1.0).abs() < 1e-9);

@@ -68,23 +68,39 @@ impl SynthConfig {
         }
         for [height, width] in [self.resolution.wrist, self.resolution.external] {
             if !(8..=2160).contains(&height) || !(8..=3840).contains(&width) {
-                return wrong("resolution", format!("{height}x{width}"), "height from 8 to 2160, width from 8 to 3840");
+                return wrong(
+                    "resolution",
+                    format!("{height}x{width}"),
+                    "height from 8 to 2160, width from 8 to 3840",
+                );
             }
         }
         let [fewest, most] = self.objects;
         if fewest < 1 || fewest > most || most > 40 {
-            return wrong("objects", format!("{fewest} to {most}"), "at least 1, ascending, at most 40");
+            return wrong(
+                "objects",
+                format!("{fewest} to {most}"),
+                "at least 1, ascending, at most 40",
+            );
         }
         if let Some([metres, radians]) = self.calibration_noise
             && (!(0.0..=0.1).contains(&metres) || !(0.0..=0.2).contains(&radians))
         {
-            return wrong("calibration_noise", format!("{metres}, {radians}"), "at most 0.1 m and 0.2 rad");
+            return wrong(
+                "calibration_noise",
+                format!("{metres}, {radians}"),
+                "at most 0.1 m and 0.2 rad",
+            );
         }
         if self.anchor() >= self.frames {
             return wrong("anchor_frame", self.anchor().to_string(), "below the number of frames");
         }
         if self.tracks_per_camera.iter().any(|&n| n > 100_000) {
-            return wrong("tracks_per_camera", format!("{:?}", self.tracks_per_camera), "at most 100000");
+            return wrong(
+                "tracks_per_camera",
+                format!("{:?}", self.tracks_per_camera),
+                "at most 100000",
+            );
         }
         Ok(())
     }

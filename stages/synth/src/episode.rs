@@ -72,18 +72,8 @@ pub fn generate_episode(config: &SynthConfig, seed: u64) -> Result<Episode> {
     let lights = draw_lights(&mut Draw::new(seed, stream::LIGHT));
     let frames = config.frames as usize;
     let mut choice = Draw::new(seed, stream::ACTION);
-    let action = config.action.or_else(|| {
-        let u = choice.unit();
-        Some(if u < 0.18 {
-            Action::Reach
-        } else if u < 0.50 {
-            Action::Grasp
-        } else if u < 0.80 {
-            Action::Carry
-        } else {
-            Action::Push
-        })
-    });
+    let drawn = Action::of(choice.unit());
+    let action = config.action.unwrap_or(drawn);
     let [fewest, most] = config.objects;
     let count = fewest as usize + choice.index((most - fewest + 1) as usize);
     let found = (0..ATTEMPTS).find_map(|attempt| {
@@ -93,7 +83,12 @@ pub fn generate_episode(config: &SynthConfig, seed: u64) -> Result<Episode> {
         let motion = draw_motion(&mut draw, &robot, &objects, room.table_z, frames, config.fps, action)?;
         enough.then_some((objects, motion))
     });
-    let Some((objects, motion)) = found else { return Err(Error::NoMotion { seed, attempts: ATTEMPTS }) };
+    let Some((objects, motion)) = found else {
+        return Err(Error::NoMotion {
+            seed,
+            attempts: ATTEMPTS,
+        });
+    };
     let robot_materials = draw_robot_materials(&mut Draw::new(seed, stream::ROBOT));
     let links = robot.links.iter().enumerate().map(|(index, link)| Body {
         id: index as u8,
@@ -103,7 +98,15 @@ pub fn generate_episode(config: &SynthConfig, seed: u64) -> Result<Episode> {
         shadow: true,
     });
     let object_names = objects.iter().map(|object| object.name).collect();
-    let poses = (0..frames).map(|frame| body_poses(&robot, &motion.states[frame], &objects, motion.target[frame], &room.bodies));
+    let poses = (0..frames).map(|frame| {
+        body_poses(
+            &robot,
+            &motion.states[frame],
+            &objects,
+            motion.target[frame],
+            &room.bodies,
+        )
+    });
     let poses = poses.collect();
     let mut bodies: Vec<Body> = links.collect();
     bodies.extend(objects.into_iter().map(|object| object.body));
@@ -127,7 +130,13 @@ pub fn generate_episode(config: &SynthConfig, seed: u64) -> Result<Episode> {
 }
 
 /// Links, objects, scenery.
-fn body_poses(robot: &Robot, state: &RobotState, objects: &[Object], target: DAffine3, scenery: &[Body]) -> Vec<DAffine3> {
+fn body_poses(
+    robot: &Robot,
+    state: &RobotState,
+    objects: &[Object],
+    target: DAffine3,
+    scenery: &[Body],
+) -> Vec<DAffine3> {
     let mut poses = robot.fk(state);
     let object = |(index, object): (usize, &Object)| if index == 0 { target } else { object.start };
     poses.extend(objects.iter().enumerate().map(object));
@@ -217,7 +226,10 @@ impl Episode {
     /// Draws all six cameras at one frame.
     #[must_use]
     pub fn render_frame(&self, frame: usize) -> Frame {
-        Frame { index: frame, views: self.render_cameras(frame, &[0, 1, 2, 3, 4, 5]) }
+        Frame {
+            index: frame,
+            views: self.render_cameras(frame, &[0, 1, 2, 3, 4, 5]),
+        }
     }
 
     /// All frames, one after the other: for training without files.

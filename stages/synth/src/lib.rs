@@ -37,8 +37,8 @@ mod tracks;
 mod write;
 
 pub use cameras::{
-    CAMERA_NAMES, CAMERAS, Camera, HAND_EYE_MEAN, HAND_EYE_STD, HAND_EYE_TILT_DEG, Mount, Resolution, ZED_MINI_BASELINE,
-    ZED2_BASELINE, nominal_hand_eye,
+    CAMERA_NAMES, CAMERAS, Camera, HAND_EYE_MEAN, HAND_EYE_STD, HAND_EYE_TILT_DEG, Mount, Resolution,
+    ZED_MINI_BASELINE, ZED2_BASELINE, nominal_hand_eye,
 };
 pub use config::SynthConfig;
 pub use episode::{Episode, Frame, generate_episode};
@@ -47,8 +47,8 @@ pub use mesh::TriMesh;
 pub use motion::Action;
 pub use render::View;
 pub use robot::{
-    ARM_JOINT_NAMES, ARM_JOINTS, ARM_LIMITS, FINGER_CLOSED, FLANGE_LINK, ROBOT_SPEC_FILE, ROBOT_URDF_FILE, Robot, RobotState,
-    TOOL_Z, gripper_for_gap, pad_gap, write_robot,
+    ARM_JOINT_NAMES, ARM_JOINTS, ARM_LIMITS, FINGER_CLOSED, FLANGE_LINK, ROBOT_SPEC_FILE, ROBOT_URDF_FILE, Robot,
+    RobotState, TOOL_Z, gripper_for_gap, pad_gap, write_robot,
 };
 pub use scene::{FIRST_OBJECT_ID, FIRST_SCENERY_ID};
 pub use tracks::EpisodeTracks;

@@ -49,7 +49,10 @@ fn main() -> ExitCode {
             Size::Evaluation => Resolution::EVALUATION,
             Size::Stored => Resolution::STORED,
         },
-        calibration_noise: arguments.calibration_noise.as_deref().map(|values| [values[0], values[1]]),
+        calibration_noise: arguments
+            .calibration_noise
+            .as_deref()
+            .map(|values| [values[0], values[1]]),
         ..SynthConfig::default()
     };
     let progress = |path: &std::path::Path| eprintln!("episode: {}", path.display());
@@ -62,7 +65,12 @@ fn main() -> ExitCode {
             Err(error) => fail(&error),
         },
         Ok(summary) => {
-            println!("{} episodes of {} frames, {} new", summary.episodes.len(), summary.frames, summary.written);
+            println!(
+                "{} episodes of {} frames, {} new",
+                summary.episodes.len(),
+                summary.frames,
+                summary.written
+            );
             println!("robot: {}", summary.robot.display());
             ExitCode::SUCCESS
         }

@@ -30,7 +30,12 @@ pub(crate) struct Section {
 
 impl Section {
     pub(crate) fn circle(z: f64, radius: f64) -> Self {
-        Self { z, centre: [0.0; 2], half: [radius; 2], power: 2.0 }
+        Self {
+            z,
+            centre: [0.0; 2],
+            half: [radius; 2],
+            power: 2.0,
+        }
     }
 
     pub(crate) fn oval(z: f64, centre: [f64; 2], half: [f64; 2], power: f64) -> Self {
@@ -54,7 +59,11 @@ impl TriMesh {
     pub(crate) fn loft(sections: &[Section], segments: usize) -> Self {
         let rings: Vec<Vec<DVec3>> = sections
             .iter()
-            .map(|section| (0..segments).map(|i| section.point(i as f64 / segments as f64)).collect())
+            .map(|section| {
+                (0..segments)
+                    .map(|i| section.point(i as f64 / segments as f64))
+                    .collect()
+            })
             .collect();
         Self::skin(&rings, true)
     }
@@ -89,7 +98,11 @@ impl TriMesh {
             let centre = ring.iter().sum::<DVec3>() / n as f64;
             for i in 0..n {
                 let (a, b) = (ring[i], ring[(i + 1) % n]);
-                if first { mesh.triangle([centre, b, a]) } else { mesh.triangle([centre, a, b]) }
+                if first {
+                    mesh.triangle([centre, b, a])
+                } else {
+                    mesh.triangle([centre, a, b])
+                }
             }
         }
         if smooth { mesh.smoothed(0.76) } else { mesh }
@@ -122,7 +135,10 @@ impl TriMesh {
             let [a, b, c] = [0, 1, 2].map(|k| self.positions[vertex / 3 * 3 + k]);
             (b - a).cross(c - a)
         };
-        let mut result = Self { materials: self.materials.clone(), ..Self::default() };
+        let mut result = Self {
+            materials: self.materials.clone(),
+            ..Self::default()
+        };
         let mut index_of = vec![0u32; self.positions.len()];
         for group in order.chunk_by(|&a, &b| key(self.positions[a]) == key(self.positions[b])) {
             let first_new = result.positions.len();
@@ -145,7 +161,11 @@ impl TriMesh {
     /// A box with flat faces.
     pub(crate) fn cuboid(half: [f64; 3]) -> Self {
         let [x, y, z] = half;
-        let ring = |z: f64| [[-x, -y], [x, -y], [x, y], [-x, y]].map(|[a, b]| DVec3::new(a, b, z)).to_vec();
+        let ring = |z: f64| {
+            [[-x, -y], [x, -y], [x, y], [-x, y]]
+                .map(|[a, b]| DVec3::new(a, b, z))
+                .to_vec()
+        };
         Self::skin(&[ring(-z), ring(z)], false)
     }
 
@@ -156,7 +176,14 @@ impl TriMesh {
         let ring = |inset: f64, z: f64| {
             let (x, y) = (x - inset, y - inset);
             let points = [
-                [-x + c, -y], [x - c, -y], [x, -y + c], [x, y - c], [x - c, y], [-x + c, y], [-x, y - c], [-x, -y + c],
+                [-x + c, -y],
+                [x - c, -y],
+                [x, -y + c],
+                [x, y - c],
+                [x - c, y],
+                [-x + c, y],
+                [-x, y - c],
+                [-x, -y + c],
             ];
             points.map(|[a, b]| DVec3::new(a, b, z)).to_vec()
         };
@@ -207,7 +234,7 @@ impl TriMesh {
                 let angle = std::f64::consts::TAU * (start + (end - start) * i as f64 / segments as f64);
                 let radial = DVec3::new(libm::cos(angle), 0.0, libm::sin(angle));
                 let point = |k: usize| {
-                    let turn = -std::f64::consts::TAU * k as f64 / 8.0;
+                    let turn = std::f64::consts::TAU * k as f64 / 8.0;
                     radial * (major + minor * libm::cos(turn)) + DVec3::Y * (minor * libm::sin(turn))
                 };
                 (0..8).map(point).collect()
@@ -244,7 +271,8 @@ impl TriMesh {
         let start = self.positions.len() as u32;
         self.positions.extend(other.positions);
         self.normals.extend(other.normals);
-        self.triangles.extend(other.triangles.iter().map(|t| t.map(|v| v + start)));
+        self.triangles
+            .extend(other.triangles.iter().map(|t| t.map(|v| v + start)));
         self.materials.extend(other.materials);
     }
 
@@ -254,7 +282,10 @@ impl TriMesh {
         let low = self.positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
         let high = self.positions.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
         let centre = 0.5 * (low + high);
-        (centre, self.positions.iter().map(|p| p.distance(centre)).fold(0.0, f32::max))
+        (
+            centre,
+            self.positions.iter().map(|p| p.distance(centre)).fold(0.0, f32::max),
+        )
     }
 
     /// Six times the enclosed volume divided by six: positive when faces look outwards.
@@ -273,7 +304,11 @@ mod tests {
 
     /// Every edge of a closed surface is walked as often in one direction as in the other.
     pub(crate) fn is_closed(mesh: &TriMesh) -> bool {
-        let key = |v: u32| mesh.positions[v as usize].to_array().map(|x| (f64::from(x) * 1e7).round() as i64);
+        let key = |v: u32| {
+            mesh.positions[v as usize]
+                .to_array()
+                .map(|x| (f64::from(x) * 1e7).round() as i64)
+        };
         let mut balance: BTreeMap<_, i64> = BTreeMap::new();
         for t in &mesh.triangles {
             for k in 0..3 {
@@ -289,7 +324,11 @@ mod tests {
     fn solids_are_closed_and_face_outwards() {
         let sphere = TriMesh::ellipsoid([0.1, 0.2, 0.3], 24);
         let exact = 4.0 / 3.0 * std::f64::consts::PI * 0.1 * 0.2 * 0.3;
-        assert!((sphere.volume() / exact - 1.0).abs() < 0.05, "{}", sphere.volume() / exact);
+        assert!(
+            (sphere.volume() / exact - 1.0).abs() < 0.05,
+            "{}",
+            sphere.volume() / exact
+        );
         let solids = [
             sphere,
             TriMesh::cuboid([0.1, 0.2, 0.3]),
@@ -297,7 +336,13 @@ mod tests {
             TriMesh::cylinder(0.1, 0.2, 16),
             TriMesh::prism(0.1, 0.1, 3),
             TriMesh::handle(0.03, 0.005, -0.25, 0.25, 10),
-            TriMesh::loft(&[Section::circle(0.0, 0.05), Section::oval(0.1, [0.02, 0.0], [0.04, 0.02], 4.0)], 16),
+            TriMesh::loft(
+                &[
+                    Section::circle(0.0, 0.05),
+                    Section::oval(0.1, [0.02, 0.0], [0.04, 0.02], 4.0),
+                ],
+                16,
+            ),
             TriMesh::lathe(&[[0.0, 0.0], [0.05, 0.0], [0.0, 0.1]], 12),
         ];
         for (index, solid) in solids.iter().enumerate() {

@@ -20,6 +20,18 @@ pub enum Action {
     Push,
 }
 
+impl Action {
+    /// The action for a number in [0, 1): grasping and carrying are the most frequent.
+    pub(crate) fn of(share: f64) -> Self {
+        match share {
+            u if u < 0.18 => Self::Reach,
+            u if u < 0.50 => Self::Grasp,
+            u if u < 0.80 => Self::Carry,
+            _ => Self::Push,
+        }
+    }
+}
+
 /// The motion of robot and objects.
 #[derive(Debug, Clone)]
 pub(crate) struct Motion {
@@ -70,12 +82,8 @@ pub(crate) fn draw_motion(
     table_z: f64,
     frames: usize,
     fps: f64,
-    wanted: Option<Action>,
+    action: Action,
 ) -> Option<Motion> {
-    let action = wanted.unwrap_or_else(|| {
-        let u = draw.unit();
-        if u < 0.18 { Action::Reach } else if u < 0.50 { Action::Grasp } else if u < 0.80 { Action::Carry } else { Action::Push }
-    });
     (0..ATTEMPTS).find_map(|_| {
         let plan = draw_plan(draw, action, objects, table_z);
         follow(robot, &plan, objects, table_z, frames, fps)
@@ -99,7 +107,10 @@ fn draw_plan(draw: &mut Draw, action: Action, objects: &[Object], table_z: f64) 
     let no_tilt = [0.0; 2];
     let sway = [draw.normal3(0.006), draw.normal3(0.003)];
     // The object as the gripper holds it: its x axis across the pads, at the height of the grip.
-    let held_object = rigid(rot_z(yaw + std::f64::consts::FRAC_PI_2), DVec3::new(place.x, place.y, table_z + object.half.z));
+    let held_object = rigid(
+        rot_z(yaw + std::f64::consts::FRAC_PI_2),
+        DVec3::new(place.x, place.y, table_z + object.half.z),
+    );
     let flange_at_grip = flange_target(grip, yaw, no_tilt);
     let mut plan = Plan {
         action,
@@ -115,7 +126,10 @@ fn draw_plan(draw: &mut Draw, action: Action, objects: &[Object], table_z: f64) 
             let start = hover(draw, place, 0.22, 0.38, 0.22);
             let above = grip + DVec3::Z * draw.range(0.03, 0.10);
             let turn = draw.range(-0.6, 0.6);
-            plan.path = vec![at(0.0, start, yaw + turn, tilt), at(draw.range(0.75, 0.98), above, yaw, no_tilt)];
+            plan.path = vec![
+                at(0.0, start, yaw + turn, tilt),
+                at(draw.range(0.75, 0.98), above, yaw, no_tilt),
+            ];
             plan.gripper = vec![(0.1, draw.range(0.0, 0.8)), (0.7, draw.range(0.0, 0.3))];
         }
         Action::Grasp => {
@@ -147,7 +161,8 @@ fn draw_plan(draw: &mut Draw, action: Action, objects: &[Object], table_z: f64) 
             if down {
                 let (release, rise) = (arrive + 0.05, arrive + 0.14);
                 plan.path.push(at(rise, put, yaw, no_tilt));
-                plan.path.push(at(1.0, put + DVec3::Z * draw.range(0.06, 0.14), yaw, no_tilt));
+                plan.path
+                    .push(at(1.0, put + DVec3::Z * draw.range(0.06, 0.14), yaw, no_tilt));
                 plan.gripper = vec![(release, closed_on_it), (rise, closed_on_it * draw.range(0.0, 0.4))];
                 plan.held = Some([0.0, release]);
             }
@@ -193,9 +208,17 @@ impl Plan {
         let share = (time - a.time) / (b.time - a.time);
         let s = minimum_jerk(share);
         let moving = (b.tool - a.tool).length() > 1e-6;
-        let window = if moving { 16.0 * share * share * (1.0 - share) * (1.0 - share) } else { 0.0 };
+        let window = if moving {
+            16.0 * share * share * (1.0 - share) * (1.0 - share)
+        } else {
+            0.0
+        };
         let swing = libm::sin(std::f64::consts::TAU * share);
-        let sway = if self.push.is_some() { DVec3::ZERO } else { (self.sway[0] + self.sway[1] * swing) * window };
+        let sway = if self.push.is_some() {
+            DVec3::ZERO
+        } else {
+            (self.sway[0] + self.sway[1] * swing) * window
+        };
         let blend = |p: f64, q: f64| p + (q - p) * s;
         flange_target(
             a.tool.lerp(b.tool, s) + sway,
@@ -209,7 +232,9 @@ impl Plan {
         if time <= first.0 {
             return first.1;
         }
-        let Some(pair) = self.gripper.windows(2).find(|pair| time < pair[1].0) else { return last.1 };
+        let Some(pair) = self.gripper.windows(2).find(|pair| time < pair[1].0) else {
+            return last.1;
+        };
         let s = minimum_jerk((time - pair[0].0) / (pair[1].0 - pair[0].0));
         pair[0].1 + (pair[1].1 - pair[0].1) * s
     }
@@ -227,7 +252,10 @@ fn follow(robot: &Robot, plan: &Plan, objects: &[Object], table_z: f64, frames: 
             return None;
         }
         joints = next;
-        states.push(RobotState { joints, gripper: plan.gripper(time(frame)) });
+        states.push(RobotState {
+            joints,
+            gripper: plan.gripper(time(frame)),
+        });
         flanges.push(robot.flange(&joints));
     }
     let held = plan.held.map(|[from, to]| {
@@ -237,7 +265,12 @@ fn follow(robot: &Robot, plan: &Plan, objects: &[Object], table_z: f64, frames: 
     });
     let target = target_path(plan, objects, &flanges, held);
     let free = is_free(objects, &flanges, &target, held, table_z);
-    free.then_some(Motion { action: plan.action, states, target, held })
+    free.then_some(Motion {
+        action: plan.action,
+        states,
+        target,
+        held,
+    })
 }
 
 /// Poses of the first object.
@@ -247,7 +280,8 @@ fn target_path(plan: &Plan, objects: &[Object], flanges: &[DAffine3], held: Opti
         let mut shift: f64 = 0.0;
         let advance = |flange: &DAffine3| {
             let tool = flange.transform_point3(DVec3::Z * TOOL_Z);
-            let reach = FIST[0] * along.dot(flange.matrix3.x_axis).abs() + FIST[1] * along.dot(flange.matrix3.y_axis).abs();
+            let reach =
+                FIST[0] * along.dot(flange.matrix3.x_axis).abs() + FIST[1] * along.dot(flange.matrix3.y_axis).abs();
             let near = object.start.translation.dot(along) - extent(object, along);
             tool.dot(along) + reach - near
         };
@@ -257,7 +291,9 @@ fn target_path(plan: &Plan, objects: &[Object], flanges: &[DAffine3], held: Opti
         };
         return flanges.iter().map(pose).collect();
     }
-    let Some([first, end]) = held else { return vec![object.start; flanges.len()] };
+    let Some([first, end]) = held else {
+        return vec![object.start; flanges.len()];
+    };
     // Before it is taken the object rests as it is held then; afterwards as it was let go.
     let in_hand = |frame: usize| flanges[frame] * plan.flange_from_object;
     let last = flanges.len() - 1;
@@ -285,7 +321,11 @@ fn is_free(
         let tool = flange.transform_point3(DVec3::Z * TOOL_Z);
         let tip = tool.z - 0.020;
         let carried = held.is_some_and(|[from, to]| (from..to).contains(&frame));
-        let bottom = if carried { target[frame].translation.z - first.half.z } else { f64::INFINITY };
+        let bottom = if carried {
+            target[frame].translation.z - first.half.z
+        } else {
+            f64::INFINITY
+        };
         let clear_of = |other: &Object, radius: f64, low: f64, at: DVec3| {
             let apart = (other.start.translation - at).truncate().length();
             low > table_z + other.height + 0.012 || apart > other.radius + radius
@@ -293,7 +333,12 @@ fn is_free(
         tip > table_z
             && objects[1..].iter().all(|other| {
                 clear_of(other, 0.055, tip, tool)
-                    && clear_of(other, first.radius + 0.004, bottom.min(target[frame].translation.z - first.half.z), target[frame].translation)
+                    && clear_of(
+                        other,
+                        first.radius + 0.004,
+                        bottom.min(target[frame].translation.z - first.half.z),
+                        target[frame].translation,
+                    )
             })
     })
 }

@@ -7,7 +7,13 @@ use crate::scene::Body;
 
 /// Distance along `direction` (in its own lengths) to the nearest front face, and the index of the body; nothing nearer than
 /// `from` counts.
-pub(crate) fn first_hit(bodies: &[Body], poses: &[DAffine3], origin: DVec3, direction: DVec3, from: f64) -> Option<(f64, usize)> {
+pub(crate) fn first_hit(
+    bodies: &[Body],
+    poses: &[DAffine3],
+    origin: DVec3,
+    direction: DVec3,
+    from: f64,
+) -> Option<(f64, usize)> {
     let mut best: Option<(f64, usize)> = None;
     for (index, (body, pose)) in bodies.iter().zip(poses).enumerate() {
         let body_from_base = rigid_inverse(pose);
@@ -55,11 +61,19 @@ mod tests {
 
     #[test]
     fn rays_hit_front_faces_inside_the_triangle() {
-        let (a, b, c) = (DVec3::new(0.0, 0.0, 2.0), DVec3::new(0.0, 1.0, 2.0), DVec3::new(1.0, 0.0, 2.0));
+        let (a, b, c) = (
+            DVec3::new(0.0, 0.0, 2.0),
+            DVec3::new(0.0, 1.0, 2.0),
+            DVec3::new(1.0, 0.0, 2.0),
+        );
         let ray = |x: f64, y: f64| hit(DVec3::ZERO, DVec3::new(x, y, 1.0), a, b, c);
         assert_eq!(ray(0.1, 0.1), Some(2.0));
         assert_eq!(ray(0.3, 0.3), None);
         assert_eq!(ray(-0.01, 0.1), None);
-        assert_eq!(hit(DVec3::new(0.1, 0.1, 4.0), DVec3::NEG_Z, a, b, c), None, "a back face");
+        assert_eq!(
+            hit(DVec3::new(0.1, 0.1, 4.0), DVec3::NEG_Z, a, b, c),
+            None,
+            "a back face"
+        );
     }
 }

@@ -35,7 +35,10 @@ impl Episode {
     pub fn tracks(&self, views: &[View]) -> EpisodeTracks {
         let anchor = self.config.anchor() as usize;
         let mut draw = Draw::new(self.seed, 7);
-        let mut tracks = EpisodeTracks { anchor_frame: anchor, ..EpisodeTracks::default() };
+        let mut tracks = EpisodeTracks {
+            anchor_frame: anchor,
+            ..EpisodeTracks::default()
+        };
         for (camera, view) in views.iter().enumerate().take(3) {
             let links = |id: u8| id < FIRST_OBJECT_ID;
             let objects = |id: u8| (FIRST_OBJECT_ID..FIRST_SCENERY_ID).contains(&id);
@@ -64,7 +67,11 @@ impl Episode {
         let k = &lens.intrinsics;
         let [column, row] = tracks.pixel[track];
         let depth = f64::from(view.depth_m[(row * lens.width + column) as usize]);
-        let ray = DVec3::new((f64::from(column) + 0.5 - k.cx) / k.fx, (f64::from(row) + 0.5 - k.cy) / k.fy, 1.0);
+        let ray = DVec3::new(
+            (f64::from(column) + 0.5 - k.cx) / k.fx,
+            (f64::from(row) + 0.5 - k.cy) / k.fy,
+            1.0,
+        );
         let anchor = tracks.anchor_frame;
         let point = self.base_from_camera(camera, anchor).transform_point3(ray * depth);
         let Some(body) = self.bodies.iter().position(|body| body.id == tracks.id[track]) else {
@@ -97,7 +104,13 @@ impl Episode {
         // In lengths of the direction, one is the point itself; a point whose face looks away is behind its own body.
         let direction = point - pose.translation;
         let slack = SLACK / direction.length();
-        let nearest = first_hit(&self.bodies, &self.poses[frame], pose.translation, direction, crate::render::NEAR / p.z);
+        let nearest = first_hit(
+            &self.bodies,
+            &self.poses[frame],
+            pose.translation,
+            direction,
+            crate::render::NEAR / p.z,
+        );
         nearest.is_some_and(|(t, _)| t > 1.0 - slack && t < 1.0 + 20.0 * slack)
     }
 }

@@ -81,19 +81,32 @@ pub fn write_dataset_with(
     rogs_schemas::atomic::sweep(folder)?;
     let robot = folder.join(ROBOT_FOLDER);
     write_robot(&Robot::new(), &robot)?;
-    let mut summary =
-        DatasetSummary { robot: robot.join(ROBOT_URDF_FILE), episodes: Vec::new(), written: 0, frames: config.frames };
+    let mut summary = DatasetSummary {
+        robot: robot.join(ROBOT_URDF_FILE),
+        episodes: Vec::new(),
+        written: 0,
+        frames: config.frames,
+    };
     for seed in seeds {
         let place = root.join(format!("synth-{seed:08}"));
         if !holds(&place, seed, config)? {
-            write_episode(&place, &generate_episode(config, seed)?, &format!("../../{ROBOT_FOLDER}/{ROBOT_URDF_FILE}"))?;
+            write_episode(
+                &place,
+                &generate_episode(config, seed)?,
+                &format!("../../{ROBOT_FOLDER}/{ROBOT_URDF_FILE}"),
+            )?;
             summary.written += 1;
         }
         progress(&place);
         summary.episodes.push(place);
     }
-    let about =
-        Dataset { generator: "rogs-synth", version: env!("CARGO_PKG_VERSION"), first_seed, episodes, config };
+    let about = Dataset {
+        generator: "rogs-synth",
+        version: env!("CARGO_PKG_VERSION"),
+        first_seed,
+        episodes,
+        config,
+    };
     rogs_schemas::atomic::write_bytes(&folder.join(DATASET_FILE), &pretty(&about)?)?;
     Ok(summary)
 }
@@ -110,7 +123,12 @@ struct Origin<'a> {
 const ORIGIN_FILE: &str = "synth.json";
 
 fn origin(seed: u64, config: &SynthConfig) -> Result<Vec<u8>> {
-    pretty(&Origin { generator: "rogs-synth", version: env!("CARGO_PKG_VERSION"), seed, config })
+    pretty(&Origin {
+        generator: "rogs-synth",
+        version: env!("CARGO_PKG_VERSION"),
+        seed,
+        config,
+    })
 }
 
 /// Whether the folder holds exactly this episode.
@@ -140,7 +158,9 @@ pub fn write_episode(place: &Path, episode: &Episode, model: &str) -> Result<()>
     if place.exists() {
         return Err(Error::Occupied { path: place.to_owned() });
     }
-    let name = place.file_name().map_or_else(|| "episode".into(), |name| name.to_string_lossy());
+    let name = place
+        .file_name()
+        .map_or_else(|| "episode".into(), |name| name.to_string_lossy());
     let draft = place.with_file_name(format!(".{name}.tmp"));
     // What an interrupted run left.
     match std::fs::remove_dir_all(&draft) {
@@ -160,7 +180,10 @@ pub fn write_episode(place: &Path, episode: &Episode, model: &str) -> Result<()>
     write_tracks(&draft.join("tracks"), &tracks, episode.frame_count())?;
     write_file(&draft.join("joints.csv"), states_csv(episode).as_bytes())?;
     write_file(&draft.join(ORIGIN_FILE), &origin(episode.seed, &episode.config)?)?;
-    write_file(&draft.join(layout::EPISODE_FILE), &pretty(&description(episode, model))?)?;
+    write_file(
+        &draft.join(layout::EPISODE_FILE),
+        &pretty(&description(episode, model))?,
+    )?;
     std::fs::rename(&draft, place).map_err(|source| Error::io(place, source))
 }
 
@@ -187,8 +210,12 @@ fn write_pictures(draft: &Path, episode: &Episode) -> Result<()> {
         };
         create().map_err(|source| Error::io(&path, source))
     };
-    let mut depths = (0..CAMERAS).map(|camera| open("depth", "<f4", camera)).collect::<Result<Vec<_>>>()?;
-    let mut ids = (0..CAMERAS).map(|camera| open("ids", "|u1", camera)).collect::<Result<Vec<_>>>()?;
+    let mut depths = (0..CAMERAS)
+        .map(|camera| open("depth", "<f4", camera))
+        .collect::<Result<Vec<_>>>()?;
+    let mut ids = (0..CAMERAS)
+        .map(|camera| open("ids", "|u1", camera))
+        .collect::<Result<Vec<_>>>()?;
     let batch = 2 * rayon::current_num_threads().max(1);
     for first in (0..frames).step_by(batch) {
         let drawn: Vec<Vec<View>> = (first..(first + batch).min(frames))
@@ -205,7 +232,8 @@ fn write_pictures(draft: &Path, episode: &Episode) -> Result<()> {
             .collect::<Result<_>>()?;
         for views in &drawn {
             for (camera, view) in views.iter().enumerate() {
-                let written = npy::write_f32(&mut depths[camera], &view.depth_m).and_then(|()| ids[camera].write_all(&view.id));
+                let written =
+                    npy::write_f32(&mut depths[camera], &view.depth_m).and_then(|()| ids[camera].write_all(&view.id));
                 written.map_err(|source| Error::io(draft, source))?;
             }
         }
@@ -235,15 +263,26 @@ fn write_tracks(folder: &Path, tracks: &EpisodeTracks, frames: usize) -> Result<
         write_file(&path, &bytes)
     };
     let pixels: Vec<f32> = tracks.pixel.iter().flatten().map(|&p| p as f32 + 0.5).collect();
-    write("camera.npy", "<u4", &[count], &|out| npy::write_u32(out, &tracks.camera))?;
+    write("camera.npy", "<u4", &[count], &|out| {
+        npy::write_u32(out, &tracks.camera)
+    })?;
     write("pixel.npy", "<f4", &[count, 2], &|out| npy::write_f32(out, &pixels))?;
-    write("position.npy", "<f4", &[count, frames, 3], &|out| npy::write_f32(out, &tracks.position_m))?;
-    write("visible.npy", "|u1", &[count, frames], &|out| out.write_all(&tracks.visible))?;
+    write("position.npy", "<f4", &[count, frames, 3], &|out| {
+        npy::write_f32(out, &tracks.position_m)
+    })?;
+    write("visible.npy", "|u1", &[count, frames], &|out| {
+        out.write_all(&tracks.visible)
+    })?;
     write("id.npy", "|u1", &[count], &|out| out.write_all(&tracks.id))
 }
 
 fn states_csv(episode: &Episode) -> String {
-    let mut text = format!("{},{},{}\n", layout::TIME_COLUMN, ARM_JOINT_NAMES.join(","), layout::GRIPPER_COLUMN);
+    let mut text = format!(
+        "{},{},{}\n",
+        layout::TIME_COLUMN,
+        ARM_JOINT_NAMES.join(","),
+        layout::GRIPPER_COLUMN
+    );
     for (frame, state) in episode.states.iter().enumerate() {
         // Writing to a string cannot fail.
         let _ = write!(text, "{}", frame as f64 / episode.config.fps);
@@ -262,7 +301,11 @@ fn description(episode: &Episode, model: &str) -> layout::Episode {
         let name = CAMERA_NAMES[index].to_owned();
         layout::EpisodeCamera {
             id: name.clone(),
-            role: if index < 3 { layout::EpisodeCameraRole::Source } else { layout::EpisodeCameraRole::Evaluation },
+            role: if index < 3 {
+                layout::EpisodeCameraRole::Source
+            } else {
+                layout::EpisodeCameraRole::Evaluation
+            },
             partner: (index >= 3).then(|| CAMERA_NAMES[index - 3].to_owned()),
             images: Some(name.clone()),
             width: lens.width,
@@ -270,13 +313,18 @@ fn description(episode: &Episode, model: &str) -> layout::Episode {
             intrinsics: lens.intrinsics,
             pixel_centres: layout::PixelCentres::Half,
             mount: match lens.recorded_mount {
-                Mount::Fixed(pose) => layout::EpisodeMount::Fixed { base_from_camera: rigid_pose(&pose).into() },
+                Mount::Fixed(pose) => layout::EpisodeMount::Fixed {
+                    base_from_camera: rigid_pose(&pose).into(),
+                },
                 Mount::Flange(pose) => layout::EpisodeMount::HandEye {
                     link: format!("panda_link{FLANGE_LINK}"),
                     link_from_camera: rigid_pose(&pose).into(),
                 },
             },
-            depth: Some(layout::EpisodeDepth { path: format!("depth/{name}.npy"), range_m: [0.1, 5.0] }),
+            depth: Some(layout::EpisodeDepth {
+                path: format!("depth/{name}.npy"),
+                range_m: [0.1, 5.0],
+            }),
         }
     };
     layout::Episode {
@@ -288,7 +336,11 @@ fn description(episode: &Episode, model: &str) -> layout::Episode {
         calibration_note: match episode.config.calibration_noise {
             None => "procedural: exact".into(),
             Some([metres, radians]) => {
-                format!("procedural: extrinsics off by {:.1} mm and {:.2} degrees (1 sigma)", 1000.0 * metres, radians.to_degrees())
+                format!(
+                    "procedural: extrinsics off by {:.1} mm and {:.2} degrees (1 sigma)",
+                    1000.0 * metres,
+                    radians.to_degrees()
+                )
             }
         },
         robot: layout::EpisodeRobot {

@@ -45,7 +45,11 @@ impl PreparedMesh {
             }
         };
         let faces = mesh.triangles.iter().enumerate().map(face).collect();
-        Self { faces, sphere: mesh.bounding_sphere(), mesh }
+        Self {
+            faces,
+            sphere: mesh.bounding_sphere(),
+            mesh,
+        }
     }
 
     pub(crate) fn mesh(&self) -> &TriMesh {
@@ -58,7 +62,10 @@ impl Face {
     pub(crate) fn normal(&self, point: Vec3) -> Vec3 {
         let [n0, n1, n2] = self.normals;
         let offset = point - self.origin;
-        let (b, c) = (self.weights[0].dot(offset).clamp(0.0, 1.0), self.weights[1].dot(offset).clamp(0.0, 1.0));
+        let (b, c) = (
+            self.weights[0].dot(offset).clamp(0.0, 1.0),
+            self.weights[1].dot(offset).clamp(0.0, 1.0),
+        );
         (n0 + (n1 - n0) * b + (n2 - n0) * c).normalize_or(self.flat)
     }
 }
@@ -80,7 +87,11 @@ fn surfaces(mesh: &TriMesh) -> Vec<u16> {
             parent[other as usize] = first;
         }
     }
-    mesh.triangles.iter().zip(&mesh.materials).map(|(t, &m)| (root(&mut parent, t[0]) as u16) ^ (u16::from(m) << 12)).collect()
+    mesh.triangles
+        .iter()
+        .zip(&mesh.materials)
+        .map(|(t, &m)| (root(&mut parent, t[0]) as u16) ^ (u16::from(m) << 12))
+        .collect()
 }
 
 #[cfg(test)]

@@ -115,8 +115,17 @@ impl Polygon {
         if twice_area.abs() < 1e-12 || !twice_area.is_finite() {
             return None;
         }
-        let blank = Edge { kind: EdgeKind::Above, slope: 0.0, start: 0.0 };
-        let mut polygon = Self { edges: [blank; MAX_CORNERS], count: corners.len(), low, high };
+        let blank = Edge {
+            kind: EdgeKind::Above,
+            slope: 0.0,
+            start: 0.0,
+        };
+        let mut polygon = Self {
+            edges: [blank; MAX_CORNERS],
+            count: corners.len(),
+            low,
+            high,
+        };
         for (k, slot) in polygon.edges[..corners.len()].iter_mut().enumerate() {
             let (p, q) = (corners[k], corners[(k + 1) % corners.len()]);
             *slot = edge(p, q, twice_area > 0.0);
@@ -133,12 +142,28 @@ fn edge(p: DVec2, q: DVec2, positive: bool) -> Edge {
     let rise = b.y - a.y;
     if rise <= 0.0 {
         let rightwards = q.x > p.x;
-        let kind = if rightwards == positive { EdgeKind::Below } else { EdgeKind::Above };
-        return Edge { kind, slope: 0.0, start: a.y };
+        let kind = if rightwards == positive {
+            EdgeKind::Below
+        } else {
+            EdgeKind::Above
+        };
+        return Edge {
+            kind,
+            slope: 0.0,
+            start: a.y,
+        };
     }
     let slope = (b.x - a.x) / rise;
-    let kind = if goes_down == positive { EdgeKind::Right } else { EdgeKind::Left };
-    Edge { kind, slope, start: a.x - slope * a.y }
+    let kind = if goes_down == positive {
+        EdgeKind::Right
+    } else {
+        EdgeKind::Left
+    };
+    Edge {
+        kind,
+        slope,
+        start: a.x - slope * a.y,
+    }
 }
 
 #[cfg(test)]
@@ -158,7 +183,16 @@ mod tests {
         let mut draw = Draw::new(11, 0);
         for _ in 0..200 {
             let middle = DVec2::new(draw.range(1.0, 19.0).round(), draw.range(1.0, 19.0));
-            let outline = [[0.0, 0.0], [7.0, 0.0], [20.0, 0.0], [20.0, 13.5], [20.0, 20.0], [3.0, 20.0], [0.0, 20.0], [0.0, 5.5]];
+            let outline = [
+                [0.0, 0.0],
+                [7.0, 0.0],
+                [20.0, 0.0],
+                [20.0, 13.5],
+                [20.0, 20.0],
+                [3.0, 20.0],
+                [0.0, 20.0],
+                [0.0, 5.5],
+            ];
             let mut count = vec![0; 400];
             for k in 0..outline.len() {
                 let corners = [middle, outline[k].into(), outline[(k + 1) % outline.len()].into()];

@@ -63,7 +63,13 @@ pub(super) struct Shader<'a> {
 }
 
 /// Where the colour samples lie (the first entry is the centre).
-const SAMPLES: [[f32; 2]; 5] = [[0.0, 0.0], [-0.125, -0.375], [0.375, -0.125], [0.125, 0.375], [-0.375, 0.125]];
+const SAMPLES: [[f32; 2]; 5] = [
+    [0.0, 0.0],
+    [-0.125, -0.375],
+    [0.375, -0.125],
+    [0.125, 0.375],
+    [-0.375, 0.125],
+];
 
 impl Shader<'_> {
     /// The finished picture from the owners of the five samples.
@@ -74,14 +80,21 @@ impl Shader<'_> {
         for (pixel, out) in rgb.chunks_exact_mut(3).enumerate() {
             let (row, column) = (pixel / width, pixel % width);
             let linear = self.pixel(owners, seen, pixel, column as f32, row as f32);
-            let (u, v) = (2.0 * column as f32 / width as f32 - 1.0, 2.0 * row as f32 / height as f32 - 1.0);
+            let (u, v) = (
+                2.0 * column as f32 / width as f32 - 1.0,
+                2.0 * row as f32 / height as f32 - 1.0,
+            );
             let gain = sensor.exposure * (1.0 - sensor.vignette * 0.5 * (u * u + v * v));
             let value = linear * Vec3::from_array(sensor.balance) * gain;
             let noise = pixel_noise(noise_key, pixel as u32);
             for k in 0..3 {
                 // A shoulder instead of a hard clip; the table covers [0, 1].
                 let x = value[k];
-                let x = if x > 0.8 { 0.8 + 0.2 * ((x - 0.8) / (x - 0.6)) } else { x };
+                let x = if x > 0.8 {
+                    0.8 + 0.2 * ((x - 0.8) / (x - 0.6))
+                } else {
+                    x
+                };
                 let index = (x * (TABLE - 1) as f32 + 0.5) as usize;
                 let level = encode[index.min(TABLE - 1)] + sensor.noise * noise[k];
                 out[k] = (level + 0.5).clamp(0.0, 255.0) as u8;
@@ -149,7 +162,9 @@ impl Shader<'_> {
         if key_cosine > 0.0 {
             let bias = 0.0035 + 0.002 / key_cosine.max(0.2);
             let spread = (self.lights.softness * self.key.texels * 0.67).max(1.0);
-            let lit = self.key.light(self.key.map_from_base.transform_point3a(at_base), bias, spread);
+            let lit = self
+                .key
+                .light(self.key.map_from_base.transform_point3a(at_base), bias, spread);
             light += self.lights.key * (key_cosine * lit);
             if material.gloss > 0.0 {
                 let half = (view.key + towards_eye).normalize_or(normal).dot(normal).max(0.0);
@@ -162,7 +177,9 @@ impl Shader<'_> {
         let upward = 0.5 + 0.5 * normal.dot(view.up);
         let turn = (mix(pixel as u32) >> 8) as f32 / 16_777_216.0;
         let lifted = at_base + Vec3A::from(Vec3::Z * 0.002);
-        let open = self.sky.openness(self.sky.map_from_base.transform_point3a(lifted), turn);
+        let open = self
+            .sky
+            .openness(self.sky.map_from_base.transform_point3a(lifted), turn);
         light += self.lights.ground.lerp(self.lights.sky, upward) * open;
         albedo * light + self.lights.key * gloss
     }
@@ -176,7 +193,11 @@ fn srgb_table() -> &'static [f32; TABLE] {
     ENCODE.get_or_init(|| {
         std::array::from_fn(|index| {
             let linear = index as f64 / (TABLE - 1) as f64;
-            let level = if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * libm::pow(linear, 1.0 / 2.4) - 0.055 };
+            let level = if linear <= 0.003_130_8 {
+                12.92 * linear
+            } else {
+                1.055 * libm::pow(linear, 1.0 / 2.4) - 0.055
+            };
             (255.0 * level) as f32
         })
     })

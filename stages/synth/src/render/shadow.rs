@@ -31,7 +31,11 @@ impl LightMap {
         let shift = Vec3A::new(0.5 * size as f32, 0.5 * size as f32, 0.0) - rotation * MIDDLE;
         let mut layer = Layer::default();
         layer.reset(size, size, [0.0, 0.0], f32::NEG_INFINITY);
-        Self { map_from_base: Affine3A::from_mat3_translation(rotation.into(), shift.into()), texels, layer }
+        Self {
+            map_from_base: Affine3A::from_mat3_translation(rotation.into(), shift.into()),
+            texels,
+            layer,
+        }
     }
 
     /// Draws a mesh whose corners are given in the map's frame.
@@ -45,7 +49,9 @@ impl LightMap {
                 continue;
             }
             let points = [a, b, c].map(|p| DVec2::new(p.x, p.y));
-            let Some(polygon) = Polygon::new(&points, width, height) else { continue };
+            let Some(polygon) = Polygon::new(&points, width, height) else {
+                continue;
+            };
             let key = [-normal.x / normal.z, -normal.y / normal.z, normal.dot(a) / normal.z];
             self.layer.draw(&polygon, key, a.z.max(b.z).max(c.z) as f32, 0);
         }
@@ -117,8 +123,11 @@ mod tests {
     fn drawn(towards: Vec3) -> LightMap {
         let mut map = LightMap::new(towards, 400);
         let mesh = TriMesh::cuboid([0.1, 0.1, 0.1]).at(0.4, 0.0, 0.1);
-        let corners: Vec<Vec3A> =
-            mesh.positions.iter().map(|p| map.map_from_base.transform_point3a((*p).into())).collect();
+        let corners: Vec<Vec3A> = mesh
+            .positions
+            .iter()
+            .map(|p| map.map_from_base.transform_point3a((*p).into()))
+            .collect();
         map.draw(&corners, &mesh.triangles);
         map
     }

@@ -70,7 +70,11 @@ impl Material {
             return colour;
         }
         let fine = fade(footprint * 160.0);
-        if fine == 0.0 { colour } else { colour * (1.0 + self.grain * fine * noise(point * 160.0 + self.offset)) }
+        if fine == 0.0 {
+            colour
+        } else {
+            colour * (1.0 + self.grain * fine * noise(point * 160.0 + self.offset))
+        }
     }
 }
 
@@ -108,7 +112,11 @@ fn wood(p: Vec3, blur: f32) -> f32 {
     let rings = noise(shifted) * 3.0 + p.y * 2.0;
     let rings = (rings - rings.floor() - 0.5).abs() * 2.0;
     let fibre = noise(Vec3::new(p.x * 0.6, p.y * 18.0, p.z * 18.0)) * fade(blur * 18.0);
-    let joint = if p.y - board < 0.04 { 0.5 * fade(blur * 5.0) } else { 0.0 };
+    let joint = if p.y - board < 0.04 {
+        0.5 * fade(blur * 5.0)
+    } else {
+        0.0
+    };
     let tone = 0.25 * noise(Vec3::new(board * 3.7, 0.5, 0.5));
     (0.45 * rings * fade(blur * 2.0) + 0.25 * fibre + 0.3 + tone + joint).clamp(0.0, 1.0)
 }
@@ -141,7 +149,9 @@ fn patches(p: Vec3, blur: f32, a: Vec3, b: Vec3) -> Vec3 {
     let tint = Vec3::new(hash_unit(i, j, k), hash_unit(j, k, i + 5), hash_unit(k, i, j + 9));
     let mixed = a.lerp(b, 0.5 + 0.5 * hash_unit(i, k, j + 21));
     let vivid = (mixed + 0.28 * tint * mixed.max_element()).max(Vec3::splat(0.01));
-    (a + b).mul_add(Vec3::splat(0.5), Vec3::ZERO).lerp(vivid, fade(blur * 0.5))
+    (a + b)
+        .mul_add(Vec3::splat(0.5), Vec3::ZERO)
+        .lerp(vivid, fade(blur * 0.5))
 }
 
 /// Two to three octaves of [`noise`], in about [-1, 1].
@@ -163,7 +173,9 @@ pub(crate) fn noise(p: Vec3) -> f32 {
     static TABLE: OnceLock<Vec<f32>> = OnceLock::new();
     let table = TABLE.get_or_init(|| {
         let cells = (0..LATTICE as i32).flat_map(|z| (0..LATTICE as i32).map(move |y| (y, z)));
-        cells.flat_map(|(y, z)| (0..LATTICE as i32).map(move |x| hash_unit(x, y, z))).collect()
+        cells
+            .flat_map(|(y, z)| (0..LATTICE as i32).map(move |x| hash_unit(x, y, z)))
+            .collect()
     });
     let cell = p.floor();
     let t = p - cell;
@@ -184,7 +196,9 @@ pub(crate) fn noise(p: Vec3) -> f32 {
 
 /// A number in [-1, 1) for three integers.
 fn hash_unit(x: i32, y: i32, z: i32) -> f32 {
-    let key = (x as u32).wrapping_mul(0x8da6_b343) ^ (y as u32).wrapping_mul(0xd816_3841) ^ (z as u32).wrapping_mul(0xcb1a_b31f);
+    let key = (x as u32).wrapping_mul(0x8da6_b343)
+        ^ (y as u32).wrapping_mul(0xd816_3841)
+        ^ (z as u32).wrapping_mul(0xcb1a_b31f);
     (mix(key) >> 8) as f32 / 8_388_608.0 - 1.0
 }
 

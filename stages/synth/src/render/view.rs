@@ -2,7 +2,7 @@
 
 use std::cell::RefCell;
 
-use glam::{Affine3A, DAffine3, DVec2, DVec3, Vec3, Vec3A};
+use glam::{DAffine3, DVec2, DVec3, Vec3, Vec3A};
 use rayon::prelude::*;
 use rogs_schemas::Intrinsics;
 
@@ -19,7 +19,13 @@ const KEY_MAP: usize = 720;
 const SKY_MAP: usize = 288;
 
 /// Samples: the centre for depth and ids, then a rotated grid for colour.
-const OFFSETS: [[f64; 2]; 5] = [[0.0, 0.0], [-0.125, -0.375], [0.375, -0.125], [0.125, 0.375], [-0.375, 0.125]];
+const OFFSETS: [[f64; 2]; 5] = [
+    [0.0, 0.0],
+    [-0.125, -0.375],
+    [0.375, -0.125],
+    [0.125, 0.375],
+    [-0.375, 0.125],
+];
 
 /// The bodies at one time with the light on them.
 pub(crate) struct LitScene<'a> {
@@ -41,16 +47,28 @@ impl<'a> LitScene<'a> {
                 let map_from_body = map.map_from_base * pose.as_affine3a();
                 let mesh = body.mesh.mesh();
                 corners.clear();
-                corners.extend(mesh.positions.iter().map(|&p| map_from_body.transform_point3a(Vec3A::from(p))));
+                corners.extend(
+                    mesh.positions
+                        .iter()
+                        .map(|&p| map_from_body.transform_point3a(Vec3A::from(p))),
+                );
                 map.draw(&corners, &mesh.triangles);
             }
             map
         };
-        let mut maps: Vec<LightMap> =
-            [(lights.towards_key, KEY_MAP), (Vec3::Z, SKY_MAP)].into_par_iter().map(draw).collect();
+        let mut maps: Vec<LightMap> = [(lights.towards_key, KEY_MAP), (Vec3::Z, SKY_MAP)]
+            .into_par_iter()
+            .map(draw)
+            .collect();
         let sky = maps.remove(1);
         let key = maps.remove(0);
-        Self { bodies, poses, lights, key, sky }
+        Self {
+            bodies,
+            poses,
+            lights,
+            key,
+            sky,
+        }
     }
 }
 
@@ -125,7 +143,12 @@ pub(crate) fn render_view(
             size: [height, width],
         };
         let (depth_m, id) = depth_and_ids(scratch, scene.bodies, intrinsics, [height, width]);
-        let rgb = shader.image(&scratch.layers.each_ref().map(|layer| layer.owner.as_slice()), &scratch.seen, sensor, noise_key);
+        let rgb = shader.image(
+            &scratch.layers.each_ref().map(|layer| layer.owner.as_slice()),
+            &scratch.seen,
+            sensor,
+            noise_key,
+        );
         View { rgb, depth_m, id }
     })
 }
@@ -149,7 +172,11 @@ fn draw_body(scratch: &mut Scratch, index: usize, body: &Body, camera_from_body:
     let mesh = body.mesh.mesh();
     let Scratch { layers, seen, corners } = scratch;
     corners.clear();
-    corners.extend(mesh.positions.iter().map(|p| camera_from_body.transform_point3(p.as_dvec3())));
+    corners.extend(
+        mesh.positions
+            .iter()
+            .map(|p| camera_from_body.transform_point3(p.as_dvec3())),
+    );
     for (face, triangle) in mesh.triangles.iter().enumerate() {
         let [a, b, c] = triangle.map(|v| corners[v as usize]);
         let normal = (b - a).cross(c - a);
@@ -169,12 +196,24 @@ fn draw_body(scratch: &mut Scratch, index: usize, body: &Body, camera_from_body:
             *point = project(*corner);
             limit = limit.max(1.0 / corner.z);
         }
-        let Some(polygon) = Polygon::new(&points[..count], layers[0].width, layers[0].height) else { continue };
+        let Some(polygon) = Polygon::new(&points[..count], layers[0].width, layers[0].height) else {
+            continue;
+        };
         let (nx, ny) = (normal.x / k.fx, normal.y / k.fy);
-        let key = [nx / distance, ny / distance, (normal.z - nx * k.cx - ny * k.cy) / distance];
+        let key = [
+            nx / distance,
+            ny / distance,
+            (normal.z - nx * k.cx - ny * k.cy) / distance,
+        ];
         let owner = seen.len() as u32;
         let surface = ((index as u32) << 16) | u32::from(body.mesh.faces[face].surface);
-        seen.push(Seen { normal, distance, body: index as u16, face: face as u32, surface });
+        seen.push(Seen {
+            normal,
+            distance,
+            body: index as u16,
+            face: face as u32,
+            surface,
+        });
         for layer in layers.iter_mut() {
             layer.draw(&polygon, key, limit as f32, owner);
         }
@@ -201,7 +240,12 @@ fn cut_near(corners: [DVec3; 3]) -> ([DVec3; 4], usize) {
     (cut, count)
 }
 
-fn depth_and_ids(scratch: &Scratch, bodies: &[Body], k: &Intrinsics, [height, width]: [usize; 2]) -> (Vec<f32>, Vec<u8>) {
+fn depth_and_ids(
+    scratch: &Scratch,
+    bodies: &[Body],
+    k: &Intrinsics,
+    [height, width]: [usize; 2],
+) -> (Vec<f32>, Vec<u8>) {
     let mut depth_m = Vec::with_capacity(width * height);
     let mut id = Vec::with_capacity(width * height);
     for row in 0..height {

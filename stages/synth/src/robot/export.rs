@@ -55,7 +55,11 @@ fn urdf(robot: &Robot) -> String {
 }
 
 fn joint(text: &mut String, robot: &Robot, link: &Link) {
-    let kind = if link.motion == Motion::Fixed { "fixed" } else { "revolute" };
+    let kind = if link.motion == Motion::Fixed {
+        "fixed"
+    } else {
+        "revolute"
+    };
     let ([x, y, z], [roll, pitch, yaw]) = (link.xyz.to_array(), link.rpy);
     let _ = write!(
         text,
@@ -80,7 +84,10 @@ fn joint(text: &mut String, robot: &Robot, link: &Link) {
     );
     match link.motion {
         Motion::Finger(multiplier) if link.joint != "finger_joint" => {
-            let _ = writeln!(text, "    <mimic joint=\"finger_joint\" multiplier=\"{multiplier}\" offset=\"0\"/>");
+            let _ = writeln!(
+                text,
+                "    <mimic joint=\"finger_joint\" multiplier=\"{multiplier}\" offset=\"0\"/>"
+            );
         }
         _ => {}
     }
@@ -97,8 +104,16 @@ fn glb(mesh: &TriMesh, name: &str) -> Result<Vec<u8>> {
         binary.extend(p.to_array().into_iter().flat_map(f32::to_le_bytes));
     }
     let vertex_bytes = 12 * mesh.positions.len();
-    let low = mesh.positions.iter().copied().fold(glam::Vec3::INFINITY, glam::Vec3::min);
-    let high = mesh.positions.iter().copied().fold(glam::Vec3::NEG_INFINITY, glam::Vec3::max);
+    let low = mesh
+        .positions
+        .iter()
+        .copied()
+        .fold(glam::Vec3::INFINITY, glam::Vec3::min);
+    let high = mesh
+        .positions
+        .iter()
+        .copied()
+        .fold(glam::Vec3::NEG_INFINITY, glam::Vec3::max);
     let count = mesh.positions.len();
     let mut views = vec![
         json!({"buffer": 0, "byteOffset": 0, "byteLength": vertex_bytes, "target": 34962}),
@@ -114,7 +129,11 @@ fn glb(mesh: &TriMesh, name: &str) -> Result<Vec<u8>> {
     let colours = default_robot_colours();
     for (slot, material) in used.into_iter().enumerate() {
         let offset = binary.len();
-        let of_material = mesh.triangles.iter().zip(&mesh.materials).filter(|&(_, &m)| m == material);
+        let of_material = mesh
+            .triangles
+            .iter()
+            .zip(&mesh.materials)
+            .filter(|&(_, &m)| m == material);
         let mut corners = 0;
         for (triangle, _) in of_material {
             binary.extend(triangle.iter().flat_map(|v| v.to_le_bytes()));

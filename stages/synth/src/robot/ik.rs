@@ -36,12 +36,18 @@ pub(crate) fn solve_tool(robot: &Robot, target: &DAffine3, start: [f64; ARM_JOIN
 }
 
 fn within_limits(joints: &[f64; ARM_JOINTS]) -> bool {
-    joints.iter().zip(ARM_LIMITS).all(|(joint, [low, high])| (low..=high).contains(joint))
+    joints
+        .iter()
+        .zip(ARM_LIMITS)
+        .all(|(joint, [low, high])| (low..=high).contains(joint))
 }
 
 /// Flange pose and the six rows of its Jacobian (linear, then angular times [`RADIAN`]).
 fn jacobian(robot: &Robot, joints: &[f64; ARM_JOINTS]) -> (DAffine3, [[f64; ARM_JOINTS]; 6]) {
-    let state = super::RobotState { joints: *joints, gripper: 0.0 };
+    let state = super::RobotState {
+        joints: *joints,
+        gripper: 0.0,
+    };
     let poses = robot.fk(&state);
     let flange = poses[super::FLANGE_LINK];
     let mut rows = [[0.0; ARM_JOINTS]; 6];

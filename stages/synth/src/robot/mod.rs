@@ -20,7 +20,13 @@ pub const ARM_JOINTS: usize = 7;
 
 /// Names of the driven arm joints.
 pub const ARM_JOINT_NAMES: [&str; ARM_JOINTS] = [
-    "panda_joint1", "panda_joint2", "panda_joint3", "panda_joint4", "panda_joint5", "panda_joint6", "panda_joint7",
+    "panda_joint1",
+    "panda_joint2",
+    "panda_joint3",
+    "panda_joint4",
+    "panda_joint5",
+    "panda_joint6",
+    "panda_joint7",
 ];
 
 /// Lower and upper limits of the arm joints, radians.
@@ -113,37 +119,156 @@ impl Robot {
         use Motion::{Arm, Finger, Fixed};
         const H: f64 = std::f64::consts::FRAC_PI_2;
         let [y, z] = KNUCKLE_PIVOT;
-        let bar = DVec3::new(0.0, KNUCKLE_LENGTH * libm::sin(KNUCKLE_LEAN), KNUCKLE_LENGTH * libm::cos(KNUCKLE_LEAN));
+        let bar = DVec3::new(
+            0.0,
+            KNUCKLE_LENGTH * libm::sin(KNUCKLE_LEAN),
+            KNUCKLE_LENGTH * libm::cos(KNUCKLE_LEAN),
+        );
         let mirrored = DVec3::new(0.0, -bar.y, bar.z);
         let spec: [(&str, &str, usize, DVec3, f64, DVec3, Motion); 17] = [
             ("panda_link0", "", 0, DVec3::ZERO, 0.0, DVec3::Z, Fixed),
-            ("panda_link1", ARM_JOINT_NAMES[0], 0, DVec3::new(0.0, 0.0, 0.333), 0.0, DVec3::Z, Arm(0)),
+            (
+                "panda_link1",
+                ARM_JOINT_NAMES[0],
+                0,
+                DVec3::new(0.0, 0.0, 0.333),
+                0.0,
+                DVec3::Z,
+                Arm(0),
+            ),
             ("panda_link2", ARM_JOINT_NAMES[1], 1, DVec3::ZERO, -H, DVec3::Z, Arm(1)),
-            ("panda_link3", ARM_JOINT_NAMES[2], 2, DVec3::new(0.0, -0.316, 0.0), H, DVec3::Z, Arm(2)),
-            ("panda_link4", ARM_JOINT_NAMES[3], 3, DVec3::new(0.0825, 0.0, 0.0), H, DVec3::Z, Arm(3)),
-            ("panda_link5", ARM_JOINT_NAMES[4], 4, DVec3::new(-0.0825, 0.384, 0.0), -H, DVec3::Z, Arm(4)),
+            (
+                "panda_link3",
+                ARM_JOINT_NAMES[2],
+                2,
+                DVec3::new(0.0, -0.316, 0.0),
+                H,
+                DVec3::Z,
+                Arm(2),
+            ),
+            (
+                "panda_link4",
+                ARM_JOINT_NAMES[3],
+                3,
+                DVec3::new(0.0825, 0.0, 0.0),
+                H,
+                DVec3::Z,
+                Arm(3),
+            ),
+            (
+                "panda_link5",
+                ARM_JOINT_NAMES[4],
+                4,
+                DVec3::new(-0.0825, 0.384, 0.0),
+                -H,
+                DVec3::Z,
+                Arm(4),
+            ),
             ("panda_link6", ARM_JOINT_NAMES[5], 5, DVec3::ZERO, H, DVec3::Z, Arm(5)),
-            ("panda_link7", ARM_JOINT_NAMES[6], 6, DVec3::new(0.088, 0.0, 0.0), H, DVec3::Z, Arm(6)),
-            ("panda_link8", "panda_joint8", 7, DVec3::new(0.0, 0.0, 0.107), 0.0, DVec3::Z, Fixed),
-            ("gripper_base_link", "gripper_joint", 8, DVec3::ZERO, 0.0, DVec3::Z, Fixed),
-            ("left_knuckle_link", "finger_joint", 9, DVec3::new(0.0, y, z), 0.0, DVec3::X, Finger(1.0)),
-            ("left_finger_link", "left_finger_joint", 10, bar, 0.0, DVec3::X, Finger(-1.0)),
-            ("left_bar_link", "left_bar_joint", 9, DVec3::new(0.0, y - 0.014, z + 0.012), 0.0, DVec3::X, Finger(1.0)),
-            ("right_knuckle_link", "right_knuckle_joint", 9, DVec3::new(0.0, -y, z), 0.0, DVec3::X, Finger(-1.0)),
-            ("right_finger_link", "right_finger_joint", 13, mirrored, 0.0, DVec3::X, Finger(1.0)),
-            ("right_bar_link", "right_bar_joint", 9, DVec3::new(0.0, 0.014 - y, z + 0.012), 0.0, DVec3::X, Finger(-1.0)),
-            ("wrist_camera_link", "wrist_camera_joint", 8, DVec3::ZERO, 0.0, DVec3::Z, Fixed),
+            (
+                "panda_link7",
+                ARM_JOINT_NAMES[6],
+                6,
+                DVec3::new(0.088, 0.0, 0.0),
+                H,
+                DVec3::Z,
+                Arm(6),
+            ),
+            (
+                "panda_link8",
+                "panda_joint8",
+                7,
+                DVec3::new(0.0, 0.0, 0.107),
+                0.0,
+                DVec3::Z,
+                Fixed,
+            ),
+            (
+                "gripper_base_link",
+                "gripper_joint",
+                8,
+                DVec3::ZERO,
+                0.0,
+                DVec3::Z,
+                Fixed,
+            ),
+            (
+                "left_knuckle_link",
+                "finger_joint",
+                9,
+                DVec3::new(0.0, y, z),
+                0.0,
+                DVec3::X,
+                Finger(1.0),
+            ),
+            (
+                "left_finger_link",
+                "left_finger_joint",
+                10,
+                bar,
+                0.0,
+                DVec3::X,
+                Finger(-1.0),
+            ),
+            (
+                "left_bar_link",
+                "left_bar_joint",
+                9,
+                DVec3::new(0.0, y - 0.014, z + 0.012),
+                0.0,
+                DVec3::X,
+                Finger(1.0),
+            ),
+            (
+                "right_knuckle_link",
+                "right_knuckle_joint",
+                9,
+                DVec3::new(0.0, -y, z),
+                0.0,
+                DVec3::X,
+                Finger(-1.0),
+            ),
+            (
+                "right_finger_link",
+                "right_finger_joint",
+                13,
+                mirrored,
+                0.0,
+                DVec3::X,
+                Finger(1.0),
+            ),
+            (
+                "right_bar_link",
+                "right_bar_joint",
+                9,
+                DVec3::new(0.0, 0.014 - y, z + 0.012),
+                0.0,
+                DVec3::X,
+                Finger(-1.0),
+            ),
+            (
+                "wrist_camera_link",
+                "wrist_camera_joint",
+                8,
+                DVec3::ZERO,
+                0.0,
+                DVec3::Z,
+                Fixed,
+            ),
         ];
-        let links = spec.into_iter().enumerate().map(|(index, (name, joint, parent, xyz, roll, axis, motion))| Link {
-            name,
-            joint,
-            parent,
-            xyz,
-            rpy: [roll, 0.0, 0.0],
-            axis,
-            motion,
-            mesh: Arc::new(shapes::link_mesh(index)),
-        });
+        let links = spec
+            .into_iter()
+            .enumerate()
+            .map(|(index, (name, joint, parent, xyz, roll, axis, motion))| Link {
+                name,
+                joint,
+                parent,
+                xyz,
+                rpy: [roll, 0.0, 0.0],
+                axis,
+                motion,
+                mesh: Arc::new(shapes::link_mesh(index)),
+            });
         Self { links: links.collect() }
     }
 
@@ -181,7 +306,11 @@ impl Robot {
     pub(crate) fn flange(&self, joints: &[f64; ARM_JOINTS]) -> DAffine3 {
         let mut pose = DAffine3::IDENTITY;
         for link in &self.links[1..=FLANGE_LINK] {
-            let angle = if let Motion::Arm(joint) = link.motion { joints[joint] } else { 0.0 };
+            let angle = if let Motion::Arm(joint) = link.motion {
+                joints[joint]
+            } else {
+                0.0
+            };
             pose *= rigid(rot_rpy(link.rpy) * rot_axis(link.axis, angle), link.xyz);
         }
         pose
@@ -216,7 +345,11 @@ pub fn gripper_for_gap(gap: f64) -> f64 {
     let (mut open, mut closed) = (0.0, 1.0);
     for _ in 0..50 {
         let middle = 0.5 * (open + closed);
-        if pad_gap(middle) > gap { open = middle } else { closed = middle }
+        if pad_gap(middle) > gap {
+            open = middle
+        } else {
+            closed = middle
+        }
     }
     0.5 * (open + closed)
 }

@@ -15,9 +15,6 @@ const BLACK: u8 = 3;
 const PAD: u8 = 4;
 const ACCENT: u8 = 5;
 
-/// Number of robot materials.
-pub(crate) const ROBOT_MATERIALS: usize = 6;
-
 const AROUND: usize = 20;
 const HALF_TURN: f64 = std::f64::consts::FRAC_PI_2;
 
@@ -87,8 +84,12 @@ fn base() -> TriMesh {
         ],
         SHELL,
     );
-    let socket = TriMesh::chamfered([0.03, 0.05, 0.035], 0.008).at(-0.145, 0.0, 0.04).of(SEAM);
-    let light = TriMesh::chamfered([0.02, 0.035, 0.004], 0.002).at(-0.105, 0.0, 0.083).of(ACCENT);
+    let socket = TriMesh::chamfered([0.03, 0.05, 0.035], 0.008)
+        .at(-0.145, 0.0, 0.04)
+        .of(SEAM);
+    let light = TriMesh::chamfered([0.02, 0.035, 0.004], 0.002)
+        .at(-0.105, 0.0, 0.083)
+        .of(ACCENT);
     union([foot, socket, light, seam_ring(0.066, 0.143)])
 }
 
@@ -186,20 +187,32 @@ fn wrist() -> TriMesh {
         SHELL,
     )
     .placed(rigid(rot_y(HALF_TURN), DVec3::ZERO));
-    let cup = TriMesh::lathe(&[[0.038, -0.046], [0.049, -0.036], [0.049, 0.030], [0.044, 0.040]], AROUND)
-        .placed(rigid(rot_x(HALF_TURN), DVec3::new(0.088, 0.0, 0.0)));
+    let cup = TriMesh::lathe(
+        &[[0.038, -0.046], [0.049, -0.036], [0.049, 0.030], [0.044, 0.040]],
+        AROUND,
+    )
+    .placed(rigid(rot_x(HALF_TURN), DVec3::new(0.088, 0.0, 0.0)));
     union([drum, bridge, cup.of(SHELL)])
 }
 
 fn hand() -> TriMesh {
-    let barrel = TriMesh::lathe(&[[0.038, 0.038], [0.045, 0.046], [0.045, 0.074], [0.042, 0.080]], AROUND).of(SHELL);
+    let barrel = TriMesh::lathe(
+        &[[0.038, 0.038], [0.045, 0.046], [0.045, 0.074], [0.042, 0.080]],
+        AROUND,
+    )
+    .of(SHELL);
     let mount = TriMesh::chamfered([0.036, 0.036, 0.016], 0.008)
         .placed(rigid(rot_axis(DVec3::Z, 0.785), DVec3::new(0.030, 0.030, 0.066)))
         .of(SHELL);
     let button = TriMesh::cylinder(0.009, 0.004, 10)
         .placed(rigid(rot_x(HALF_TURN), DVec3::new(0.0, -0.046, 0.060)))
         .of(ACCENT);
-    union([barrel, mount, button, TriMesh::cylinder(0.0315, 0.014, AROUND).at(0.0, 0.0, 0.090).of(METAL)])
+    union([
+        barrel,
+        mount,
+        button,
+        TriMesh::cylinder(0.0315, 0.014, AROUND).at(0.0, 0.0, 0.090).of(METAL),
+    ])
 }
 
 fn flange() -> TriMesh {
@@ -218,7 +231,11 @@ fn gripper_base() -> TriMesh {
         ],
         BLACK,
     );
-    let plate = |side: f64| TriMesh::chamfered([0.002, 0.020, 0.010], 0.001).at(side * 0.033, 0.0, 0.036).of(METAL);
+    let plate = |side: f64| {
+        TriMesh::chamfered([0.002, 0.020, 0.010], 0.001)
+            .at(side * 0.033, 0.0, 0.036)
+            .of(METAL)
+    };
     union([adapter, body, plate(1.0), plate(-1.0)])
 }
 
@@ -246,7 +263,9 @@ fn bar(side: f64) -> TriMesh {
 fn finger(side: f64) -> TriMesh {
     // The pivot is at the origin; the pad's face lies PAD_OFFSET towards the middle.
     let inward = -side;
-    let shank = TriMesh::chamfered([0.0105, 0.0062, 0.024], 0.003).at(0.0, inward * 0.0008, 0.014).of(BLACK);
+    let shank = TriMesh::chamfered([0.0105, 0.0062, 0.024], 0.003)
+        .at(0.0, inward * 0.0008, 0.014)
+        .of(BLACK);
     let tip = loft(
         &[
             Section::oval(0.006, [0.0, inward * 0.004], [0.0110, 0.0075], 5.0),
@@ -255,17 +274,23 @@ fn finger(side: f64) -> TriMesh {
         ],
         BLACK,
     );
-    let pad = TriMesh::chamfered([0.0112, 0.0021, 0.019], 0.001).at(0.0, inward * (PAD_OFFSET - 0.0021), 0.0285).of(PAD);
+    let pad = TriMesh::chamfered([0.0112, 0.0021, 0.019], 0.001)
+        .at(0.0, inward * (PAD_OFFSET - 0.0021), 0.0285)
+        .of(PAD);
     union([shank, tip, pad])
 }
 
 fn camera_body() -> TriMesh {
     // Behind the nominal hand-eye pose: everything stays behind the image plane of every rig.
     let camera = crate::cameras::nominal_hand_eye();
-    let body = TriMesh::chamfered([0.062, 0.0130, 0.0130], 0.004).at(0.0315, 0.0, -0.032).of(BLACK);
+    let body = TriMesh::chamfered([0.062, 0.0130, 0.0130], 0.004)
+        .at(0.0315, 0.0, -0.032)
+        .of(BLACK);
     let lens = |x: f64| TriMesh::cylinder(0.0075, 0.002, 12).at(x, 0.0, -0.0185).of(SEAM);
     let body = union([body, lens(0.0), lens(0.063)]).placed(camera);
-    let bracket = TriMesh::chamfered([0.018, 0.016, 0.0025], 0.001).at(-0.048, 0.0, -0.004).of(METAL);
+    let bracket = TriMesh::chamfered([0.018, 0.016, 0.0025], 0.001)
+        .at(-0.048, 0.0, -0.0165)
+        .of(METAL);
     union([body, bracket])
 }
 
@@ -278,7 +303,11 @@ mod tests {
         for link in 0..17 {
             let mesh = link_mesh(link);
             assert!(mesh.volume() > 1e-6, "link {link}");
-            assert!(mesh.materials.iter().all(|&m| (m as usize) < ROBOT_MATERIALS));
+            assert!(
+                mesh.materials
+                    .iter()
+                    .all(|&m| (m as usize) < crate::scene::default_robot_colours().len())
+            );
             assert_eq!(mesh.positions.len(), mesh.normals.len());
         }
     }

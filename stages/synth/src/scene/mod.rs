@@ -11,7 +11,7 @@ use crate::math::{Draw, hsv};
 use crate::render::{Material, Pattern, PreparedMesh};
 
 pub(crate) use objects::{Object, draw_objects};
-pub(crate) use room::{Room, draw_room};
+pub(crate) use room::draw_room;
 
 /// Id of the first movable object in the id maps; robot links come before.
 pub const FIRST_OBJECT_ID: u8 = 64;
@@ -88,9 +88,17 @@ pub(crate) fn default_robot_colours() -> [[f32; 3]; 6] {
 pub(crate) fn draw_robot_materials(draw: &mut Draw) -> Vec<Material> {
     let mut colours = default_robot_colours();
     let (shade, hue) = (draw.range(0.6, 1.08) as f32, draw.unit());
-    let tint = if draw.chance(0.3) { draw.range(0.05, 0.6) } else { 0.03 * draw.unit() };
+    let tint = if draw.chance(0.3) {
+        draw.range(0.05, 0.6)
+    } else {
+        0.03 * draw.unit()
+    };
     let [r, g, b] = hsv(hue, tint, 1.0);
-    colours[0] = [colours[0][0] * shade * r, colours[0][1] * shade * g, colours[0][2] * shade * b];
+    colours[0] = [
+        colours[0][0] * shade * r,
+        colours[0][1] * shade * g,
+        colours[0][2] * shade * b,
+    ];
     colours[5] = hsv(draw.unit(), 0.8, 0.9);
     let lift = draw.range(0.8, 2.5) as f32;
     colours[3] = colours[3].map(|c| c * lift);
@@ -122,8 +130,16 @@ pub(crate) fn draw_material(draw: &mut Draw, scale: f64, saturation: f64) -> Mat
         pattern,
         colours: [Vec3::from_array(first), Vec3::from_array(second)],
         scale: (scale * draw.range(0.6, 1.6)) as f32,
-        offset: Vec3::new(draw.range(0.0, 9.0) as f32, draw.range(0.0, 9.0) as f32, draw.range(0.0, 9.0) as f32),
+        offset: Vec3::new(
+            draw.range(0.0, 9.0) as f32,
+            draw.range(0.0, 9.0) as f32,
+            draw.range(0.0, 9.0) as f32,
+        ),
         grain: draw.range(0.0, 0.12) as f32,
-        gloss: if draw.chance(0.5) { draw.range(0.02, 0.25) as f32 } else { 0.0 },
+        gloss: if draw.chance(0.5) {
+            draw.range(0.02, 0.25) as f32
+        } else {
+            0.0
+        },
     }
 }

@@ -32,18 +32,42 @@ pub(crate) struct Object {
 pub(crate) fn draw_objects(draw: &mut Draw, count: usize, table_z: f64) -> Vec<Object> {
     let mut objects: Vec<Object> = Vec::with_capacity(count);
     for index in 0..count {
-        let Shape { name, mesh, grip_width, grip_depth } = draw_shape(draw, index == 0);
-        let low = mesh.positions.iter().copied().fold(glam::Vec3::INFINITY, glam::Vec3::min).as_dvec3();
-        let high = mesh.positions.iter().copied().fold(glam::Vec3::NEG_INFINITY, glam::Vec3::max).as_dvec3();
+        let Shape {
+            name,
+            mesh,
+            grip_width,
+            grip_depth,
+        } = draw_shape(draw, index == 0);
+        let low = mesh
+            .positions
+            .iter()
+            .copied()
+            .fold(glam::Vec3::INFINITY, glam::Vec3::min)
+            .as_dvec3();
+        let high = mesh
+            .positions
+            .iter()
+            .copied()
+            .fold(glam::Vec3::NEG_INFINITY, glam::Vec3::max)
+            .as_dvec3();
         let (middle, half) = (0.5 * (low + high), 0.5 * (high - low));
         let mesh = mesh.at(-middle.x, -middle.y, -middle.z);
-        let radius = mesh.positions.iter().map(|p| f64::from(p.truncate().length())).fold(0.0, f64::max);
-        let Some(place) = free_place(draw, &objects, radius, index == 0) else { continue };
+        let radius = mesh
+            .positions
+            .iter()
+            .map(|p| f64::from(p.truncate().length()))
+            .fold(0.0, f64::max);
+        let Some(place) = free_place(draw, &objects, radius, index == 0) else {
+            continue;
+        };
         let parts = mesh.materials.iter().copied().max().unwrap_or(0) as usize + 1;
         let size = 0.5 * half.max_element();
         let materials: Vec<Material> = (0..parts).map(|_| draw_material(draw, size, 0.95)).collect();
         let height = 2.0 * half.z;
-        let start = rigid(rot_z(draw.range(-3.1, 3.1)), DVec3::new(place.x, place.y, table_z + half.z));
+        let start = rigid(
+            rot_z(draw.range(-3.1, 3.1)),
+            DVec3::new(place.x, place.y, table_z + half.z),
+        );
         objects.push(Object {
             body: Body {
                 id: FIRST_OBJECT_ID + index as u8,
@@ -96,7 +120,11 @@ struct Shape {
 }
 
 fn draw_shape(draw: &mut Draw, graspable: bool) -> Shape {
-    let size = if graspable { draw.range(0.018, 0.032) } else { draw.range(0.02, 0.06) };
+    let size = if graspable {
+        draw.range(0.018, 0.032)
+    } else {
+        draw.range(0.02, 0.06)
+    };
     let kind = draw.index(if graspable { 7 } else { 10 });
     let tall = draw.range(0.022, 0.07);
     let wide = size * draw.range(0.8, if graspable { 1.6 } else { 2.6 });
@@ -105,14 +133,29 @@ fn draw_shape(draw: &mut Draw, graspable: bool) -> Shape {
         0 => ("box", TriMesh::chamfered([size, wide, tall], 0.003), 2.0 * size, 0.028),
         1 => ("can", TriMesh::cylinder(size, tall, 24), 2.0 * size, 0.028),
         2 => ("cube", TriMesh::cuboid([size; 3]), 2.0 * size, size),
-        3 => ("mug", mug(size.max(0.024), tall.max(0.03)), 2.0 * size.max(0.024), 0.022),
+        3 => (
+            "mug",
+            mug(size.max(0.024), tall.max(0.03)),
+            2.0 * size.max(0.024),
+            0.022,
+        ),
         4 => {
             let flats = 2.0 * size * libm::cos(std::f64::consts::FRAC_PI_6);
-            ("hexagonal block", TriMesh::prism(size, tall, 6).placed(about_z(std::f64::consts::FRAC_PI_6)), flats, 0.028)
+            (
+                "hexagonal block",
+                TriMesh::prism(size, tall, 6).placed(about_z(std::f64::consts::FRAC_PI_6)),
+                flats,
+                0.028,
+            )
         }
         5 => ("bottle", bottle(size, 1.3 * tall), 2.0 * size, 0.060),
         6 => ("ball", TriMesh::ellipsoid([size; 3], 24), 2.0 * size, size),
-        7 => ("cone", TriMesh::lathe(&[[size, 0.0], [0.12 * size, 2.4 * size], [0.0, 2.45 * size]], 24), size, size),
+        7 => (
+            "cone",
+            TriMesh::lathe(&[[size, 0.0], [0.12 * size, 2.4 * size], [0.0, 2.45 * size]], 24),
+            size,
+            size,
+        ),
         8 => ("bowl", bowl(1.3 * size, size), size, size),
         _ => {
             let lying = rigid(rot_x(std::f64::consts::FRAC_PI_2), DVec3::ZERO);
@@ -120,7 +163,12 @@ fn draw_shape(draw: &mut Draw, graspable: bool) -> Shape {
             ("wedge", wedge.placed(lying), size, size)
         }
     };
-    Shape { name, mesh, grip_width, grip_depth }
+    Shape {
+        name,
+        mesh,
+        grip_width,
+        grip_depth,
+    }
 }
 
 /// A cup with a floor, a wall and a handle; inside another material than outside.
@@ -128,7 +176,14 @@ fn mug(radius: f64, half: f64) -> TriMesh {
     let wall = 0.0035;
     let (r, h) = (radius, half);
     let mut mug = TriMesh::lathe(
-        &[[r - 0.003, -h], [r, -h + 0.004], [r, h - 0.002], [r - 0.5 * wall, h], [r - wall, h - 0.002], [r - wall, -h + wall]],
+        &[
+            [r - 0.003, -h],
+            [r, -h + 0.004],
+            [r, h - 0.002],
+            [r - 0.5 * wall, h],
+            [r - wall, h - 0.002],
+            [r - wall, -h + wall],
+        ],
         24,
     );
     let inner = (r - 0.75 * wall) as f32;
@@ -138,7 +193,10 @@ fn mug(radius: f64, half: f64) -> TriMesh {
     }
     // The handle stands on y, out of the way of fingers that close along x.
     let ring = TriMesh::handle(0.55 * half, 0.0045, -0.25, 0.25, 10);
-    mug.join(ring.placed(rigid(rot_z(std::f64::consts::FRAC_PI_2), DVec3::new(0.0, r - 0.003, 0.0))));
+    mug.join(ring.placed(rigid(
+        rot_z(std::f64::consts::FRAC_PI_2),
+        DVec3::new(0.0, r - 0.003, 0.0),
+    )));
     mug
 }
 
@@ -172,7 +230,11 @@ fn bottle(radius: f64, half: f64) -> TriMesh {
         20,
     );
     let mut bottle = body;
-    bottle.join(TriMesh::cylinder(0.46 * radius, 0.07 * half, 16).at(0.0, 0.0, 0.93 * half).of(1));
+    bottle.join(
+        TriMesh::cylinder(0.46 * radius, 0.07 * half, 16)
+            .at(0.0, 0.0, 0.93 * half)
+            .of(1),
+    );
     bottle
 }
 
@@ -187,8 +249,15 @@ mod tests {
             assert!(objects.len() >= 3);
             for (index, object) in objects.iter().enumerate() {
                 let mesh = object.body.mesh.mesh();
-                let lowest = mesh.positions.iter().map(|p| object.start.transform_point3(p.as_dvec3()).z);
-                assert!((lowest.fold(f64::INFINITY, f64::min) - 0.05).abs() < 1e-6, "{}", object.name);
+                let lowest = mesh
+                    .positions
+                    .iter()
+                    .map(|p| object.start.transform_point3(p.as_dvec3()).z);
+                assert!(
+                    (lowest.fold(f64::INFINITY, f64::min) - 0.05).abs() < 1e-6,
+                    "{}",
+                    object.name
+                );
                 assert!(mesh.volume() > 0.0, "{}", object.name);
                 for other in &objects[..index] {
                     let apart = (object.start.translation - other.start.translation).truncate().length();

@@ -25,7 +25,13 @@ impl Builder {
     fn add(&mut self, mesh: TriMesh, pose: DAffine3, material: Material, shadow: bool) {
         let id = FIRST_SCENERY_ID.saturating_add(self.bodies.len() as u8);
         let mesh = Arc::new(PreparedMesh::new(mesh));
-        self.bodies.push(Body { id, mesh, materials: vec![material], fixed: Some(pose), shadow });
+        self.bodies.push(Body {
+            id,
+            mesh,
+            materials: vec![material],
+            fixed: Some(pose),
+            shadow,
+        });
     }
 
     /// A box between two corners.
@@ -44,27 +50,50 @@ pub(crate) fn draw_room(draw: &mut Draw) -> Room {
     let floor_z = table_z - draw.range(0.62, 0.85);
     let table = table_material(draw);
     let (far, half_y) = (draw.range(0.82, 1.25), draw.range(0.48, 0.95));
-    let near = if bolted { -draw.range(0.20, 0.45) } else { draw.range(0.20, 0.27) };
+    let near = if bolted {
+        -draw.range(0.20, 0.45)
+    } else {
+        draw.range(0.20, 0.27)
+    };
     let side = draw.range(-0.08, 0.08);
     let thickness = draw.range(0.018, 0.05);
-    room.block([near, side - half_y, table_z - thickness], [far, side + half_y, table_z], table, true);
-    let metal = Material { gloss: 0.2, ..Material::plain(hsv(draw.unit(), 0.1, draw.range(0.15, 0.75))) };
+    room.block(
+        [near, side - half_y, table_z - thickness],
+        [far, side + half_y, table_z],
+        table,
+        true,
+    );
+    let metal = Material {
+        gloss: 0.2,
+        ..Material::plain(hsv(draw.unit(), 0.1, draw.range(0.15, 0.75)))
+    };
     for (x, y) in [(near, -1.0), (near, 1.0), (far, -1.0), (far, 1.0)] {
         let x = x + if x == near { 0.05 } else { -0.05 };
         let y = side + y * (half_y - 0.05);
-        room.block([x - 0.02, y - 0.02, floor_z], [x + 0.02, y + 0.02, table_z - thickness], metal, true);
+        room.block(
+            [x - 0.02, y - 0.02, floor_z],
+            [x + 0.02, y + 0.02, table_z - thickness],
+            metal,
+            true,
+        );
     }
     if !bolted {
         let stand = Material::plain(hsv(draw.unit(), 0.15, draw.range(0.12, 0.7)));
         room.block([-0.19, -0.16, floor_z], [0.11, 0.16, -0.001], stand, true);
     }
     shell(draw, &mut room, floor_z);
-    Room { bodies: room.bodies, table_z }
+    Room {
+        bodies: room.bodies,
+        table_z,
+    }
 }
 
 fn table_material(draw: &mut Draw) -> Material {
     let hue = draw.range(0.04, 0.12);
-    let wood = [hsv(hue, draw.range(0.3, 0.7), draw.range(0.4, 0.95)), hsv(hue, 0.65, draw.range(0.2, 0.55))];
+    let wood = [
+        hsv(hue, draw.range(0.3, 0.7), draw.range(0.4, 0.95)),
+        hsv(hue, 0.65, draw.range(0.2, 0.55)),
+    ];
     let plain = hsv(draw.unit(), draw.range(0.0, 0.35), draw.range(0.3, 1.0));
     let offset = Vec3::new(draw.range(0.0, 5.0) as f32, draw.range(0.0, 5.0) as f32, 0.37);
     let base = Material {
@@ -76,10 +105,26 @@ fn table_material(draw: &mut Draw) -> Material {
     };
     let second = Vec3::from_array(hsv(draw.unit(), 0.4, draw.range(0.2, 1.0)));
     match draw.index(10) {
-        0..=3 => Material { pattern: Pattern::Wood, colours: wood.map(Vec3::from_array), ..base },
-        4 => Material { pattern: Pattern::Checker, colours: [base.colours[0], second], ..base },
-        5 => Material { pattern: Pattern::Cloud, colours: [base.colours[0], base.colours[0].lerp(second, 0.5)], ..base },
-        6 => Material { pattern: Pattern::Stripes(draw.index(2)), colours: [base.colours[0], second], ..base },
+        0..=3 => Material {
+            pattern: Pattern::Wood,
+            colours: wood.map(Vec3::from_array),
+            ..base
+        },
+        4 => Material {
+            pattern: Pattern::Checker,
+            colours: [base.colours[0], second],
+            ..base
+        },
+        5 => Material {
+            pattern: Pattern::Cloud,
+            colours: [base.colours[0], base.colours[0].lerp(second, 0.5)],
+            ..base
+        },
+        6 => Material {
+            pattern: Pattern::Stripes(draw.index(2)),
+            colours: [base.colours[0], second],
+            ..base
+        },
         _ => base,
     }
 }
@@ -100,7 +145,12 @@ fn shell(draw: &mut Draw, room: &mut Builder, floor_z: f64) {
     let (y0, y1) = (-draw.range(1.6, 3.2), draw.range(1.6, 3.2));
     let top = floor_z + draw.range(2.5, 3.0);
     room.block([x0, y0, floor_z - 0.1], [x1, y1, floor_z], floor, false);
-    room.block([x0, y0, top], [x1, y1, top + 0.1], Material::plain([0.8, 0.8, 0.78]), false);
+    room.block(
+        [x0, y0, top],
+        [x1, y1, top + 0.1],
+        Material::plain([0.8, 0.8, 0.78]),
+        false,
+    );
     let walls = [
         ([x0 - 0.1, y0, floor_z], [x0, y1, top]),
         ([x1, y0, floor_z], [x1 + 0.1, y1, top]),
@@ -108,7 +158,11 @@ fn shell(draw: &mut Draw, room: &mut Builder, floor_z: f64) {
         ([x0, y1, floor_z], [x1, y1 + 0.1, top]),
     ];
     for (low, high) in walls {
-        let colour = hsv(hue + draw.range(-0.05, 0.05), draw.range(0.0, 0.35), draw.range(0.55, 1.0));
+        let colour = hsv(
+            hue + draw.range(-0.05, 0.05),
+            draw.range(0.0, 0.35),
+            draw.range(0.55, 1.0),
+        );
         let shade = Vec3::from_array(colour) * draw.range(0.75, 0.98) as f32;
         let pattern = [Pattern::Plain, Pattern::Cloud, Pattern::Cloud, Pattern::Stripes(2)][draw.index(4)];
         let material = Material {
