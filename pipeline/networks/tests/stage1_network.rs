@@ -131,18 +131,14 @@ fn full_forward() {
         "out.motion",
         &displacement,
         &host(reference.clone().narrow(2, 0, 3)),
-        1e-6,
+        1e-7,
     );
     let confidence: Vec<f32> = host(stacked.narrow(2, 3, 1))
         .iter()
         .map(|value| 1.0 + value.exp())
         .collect();
-    close(
-        "out.motion conf",
-        &confidence,
-        &host(reference.clone().narrow(2, 3, 1)),
-        1e-5,
-    );
+    let expected = host(reference.clone().narrow(2, 3, 1));
+    close("out.motion conf", &confidence, &expected, scaled_tolerance(&expected));
     for (query, timed) in outputs.timed.iter().enumerate() {
         let motion = reference
             .clone()

@@ -6,10 +6,12 @@
 
 mod file;
 mod header;
+mod import;
 mod write;
 
 pub use file::TensorFile;
 pub use header::{ElementType, TensorEntry};
+pub use import::{ImportReport, ImportRequest, Origin, Renamed, generate_stage1, import_stage1, merge_lora, open_any};
 pub use write::{TensorSource, write};
 
 use std::collections::BTreeMap;

@@ -105,7 +105,7 @@ impl PackedAttention<'_> {
         );
         let mut sums = [0.0f32; ROWS];
         for (row, sum) in scores.chunks_exact_mut(tokens).zip(&mut sums[..rows]) {
-            *sum = Arch::new().dispatch(|| exponentials(row));
+            *sum = Arch::new().dispatch(#[inline(always)] || exponentials(row));
         }
         // output [rows, size] = scores values, rows apart by the width of all heads
         product(
@@ -135,7 +135,7 @@ impl PackedAttention<'_> {
             .par_chunks_mut(tokens * size)
             .enumerate()
             .for_each(|(head, result)| {
-                Arch::new().dispatch(|| {
+                Arch::new().dispatch(#[inline(always)] || {
                     for (token, out) in result.chunks_exact_mut(size).enumerate() {
                         let first = part * width + head * size;
                         let values = packed[token * 3 * width + first..].iter().zip(&self.bias[first..]);
@@ -162,20 +162,25 @@ impl PackedAttention<'_> {
 fn exponentials(row: &mut [f32]) -> f32 {
     // Sixteen running values, so that maxima and sums run in vectors and in a fixed order.
     const LANES: usize = 16;
+    let (chunks, rest) = row.as_chunks_mut::<LANES>();
     let mut largest = [f32::NEG_INFINITY; LANES];
-    for chunk in row.chunks(LANES) {
-        largest
-            .iter_mut()
-            .zip(chunk)
-            .for_each(|(largest, &value)| *largest = largest.max(value));
-    }
-    let largest = largest.iter().fold(f32::NEG_INFINITY, |a, &b| a.max(b));
-    let mut sums = [0.0f32; LANES];
-    for chunk in row.chunks_mut(LANES) {
-        for (sum, value) in sums.iter_mut().zip(chunk) {
-            *value = exp(*value - largest);
-            *sum += *value;
+    for chunk in chunks.iter() {
+        for lane in 0..LANES {
+            largest[lane] = if chunk[lane] > largest[lane] { chunk[lane] } else { largest[lane] };
         }
+    }
+    let largest = largest.iter().chain(rest.iter()).fold(f32::NEG_INFINITY, |a, &b| a.max(b));
+    let mut sums = [0.0f32; LANES];
+    for chunk in chunks {
+        for lane in 0..LANES {
+            let value = exp(chunk[lane] - largest);
+            chunk[lane] = value;
+            sums[lane] += value;
+        }
+    }
+    for (value, sum) in rest.iter_mut().zip(&mut sums) {
+        *value = exp(*value - largest);
+        *sum += *value;
     }
     sums.iter().sum()
 }

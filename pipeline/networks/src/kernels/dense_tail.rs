@@ -46,20 +46,20 @@ impl DenseTail {
                     let (upper, share) = row_taps[row];
                     let lower = &plane[(upper + 1).min(rows - 1) * columns..][..columns];
                     let upper = &plane[upper * columns..][..columns];
-                    Arch::new().dispatch(|| {
+                    Arch::new().dispatch(#[inline(always)] || {
                         for ((out, &a), &b) in blended.iter_mut().zip(upper).zip(lower) {
                             *out = share.mul_add(b - a, a);
                         }
                     });
                     for (out, &(left, share)) in out.iter_mut().zip(&column_taps) {
                         let (a, b) = (blended[left], blended[(left + 1).min(columns - 1)]);
-                        *out = share.mul_add(b - a, a);
+                        *out = a + share * (b - a);
                     }
                 });
                 let sums = self.first.band(&band);
                 let pixels = count * width;
                 let mut result = vec![0.0f32; outputs * pixels];
-                Arch::new().dispatch(|| {
+                Arch::new().dispatch(#[inline(always)] || {
                     for (output, &bias) in result.chunks_exact_mut(pixels).zip(&self.bias) {
                         output.fill(bias);
                     }
