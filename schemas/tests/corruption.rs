@@ -23,7 +23,13 @@ fn written<T: Record>(path: &Path, record: &T) -> Vec<u8> {
 }
 
 /// Every byte with one flipped bit (all eight when `every_bit`): an error, from the record and from `verify`.
-fn flips_are_noticed<T: Record + Debug>(name: &str, record: &T, every_bit: bool) {
+fn flips_are_noticed<T: Record + Debug + Sync>(name: &str, record: &T, every_bit: bool) {
+    // In a pool of one thread, so that a small file costs no hand-over between threads.
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    pool.install(|| flip(name, record, every_bit));
+}
+
+fn flip<T: Record + Debug>(name: &str, record: &T, every_bit: bool) {
     let scratch = Scratch::new(&format!("flip-{name}"));
     let path = scratch.file("a.r4c");
     let mut bytes = written(&path, record);

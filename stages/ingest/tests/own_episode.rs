@@ -12,7 +12,11 @@ use rogs_schemas::records::clip::{CameraMount, CameraRole};
 
 /// The clip at the recorded size.
 fn params() -> Params {
-    Params { height: HEIGHT, width: WIDTH, ..Params::default() }
+    Params {
+        height: HEIGHT,
+        width: WIDTH,
+        ..Params::default()
+    }
 }
 
 #[test]
@@ -23,7 +27,10 @@ fn everything_arrives() {
     assert_eq!(warnings, Vec::<String>::new());
     // The interval begins at the anchor of the tracks.
     assert_eq!(clip.episode_frames, (2..19).collect::<Vec<u32>>());
-    assert_eq!((clip.anchor_frame, clip.fps, clip.layout.as_str()), (0, 15.0, "rogs-episode"));
+    assert_eq!(
+        (clip.anchor_frame, clip.fps, clip.layout.as_str()),
+        (0, 15.0, "rogs-episode")
+    );
     assert_eq!(clip.episode_id, "LAB+a+2026-01-31-12h:00m");
     let plan = rogs_random::query_plan(&clip.episode_id, 17, &[0, 4, 8, 12, 16]);
     assert_eq!(clip.query_frames, plan.distinct);
@@ -31,7 +38,10 @@ fn everything_arrives() {
     assert_eq!(clip.robot.joint_names, ["j1", "j2"]);
     assert_eq!(clip.robot.positions[..4], [0.02, -0.04, 0.03, -0.06]);
     assert_eq!(clip.robot.gripper[16], 18.0 / 19.0);
-    assert_eq!(clip.cameras.iter().map(|camera| camera.id.as_str()).collect::<Vec<_>>(), ["wrist", "ext1", "ext1_right"]);
+    assert_eq!(
+        clip.cameras.iter().map(|camera| camera.id.as_str()).collect::<Vec<_>>(),
+        ["wrist", "ext1", "ext1_right"]
+    );
     for (number, camera) in clip.cameras.iter().enumerate() {
         let rgb = camera.rgb.as_ref().unwrap();
         for (frame, x, y) in [(0u32, 0u32, 0u32), (5, 39, 21), (16, 7, 3)] {
@@ -39,20 +49,44 @@ fn everything_arrives() {
             assert_eq!(rgb[at..at + 3], common::colour(number as u8, frame + 2, x, y));
         }
     }
-    let [wrist, ext1, right] = &clip.cameras[..] else { panic!("three cameras") };
+    let [wrist, ext1, right] = &clip.cameras[..] else {
+        panic!("three cameras")
+    };
     assert!(matches!(&wrist.mount, CameraMount::HandEye { link, .. } if link == "panda_link8"));
-    assert_eq!(ext1.mount, CameraMount::Fixed { base_from_camera: common::pose(1.0) });
-    let CameraMount::Trajectory { base_from_camera } = &right.mount else { panic!("a trajectory") };
+    assert_eq!(
+        ext1.mount,
+        CameraMount::Fixed {
+            base_from_camera: common::pose(1.0)
+        }
+    );
+    let CameraMount::Trajectory { base_from_camera } = &right.mount else {
+        panic!("a trajectory")
+    };
     assert_eq!((base_from_camera.len(), base_from_camera[0].translation[0]), (17, 0.2));
-    assert_eq!((right.role, right.partner, ext1.partner), (CameraRole::Evaluation, Some(1), None));
-    assert_eq!((ext1.intrinsics.cx, right.intrinsics.cx, right.intrinsics.cy), (20.0, 20.5, 11.5));
+    assert_eq!(
+        (right.role, right.partner, ext1.partner),
+        (CameraRole::Evaluation, Some(1), None)
+    );
+    assert_eq!(
+        (ext1.intrinsics.cx, right.intrinsics.cx, right.intrinsics.cy),
+        (20.0, 20.5, 11.5)
+    );
     let depth = ext1.depth.as_ref().unwrap();
-    assert_eq!((depth.range_m, depth.depth_m.len()), ([0.2, 4.0], 17 * (HEIGHT * WIDTH) as usize));
+    assert_eq!(
+        (depth.range_m, depth.depth_m.len()),
+        ([0.2, 4.0], 17 * (HEIGHT * WIDTH) as usize)
+    );
     assert!(depth.depth_m[0].is_nan(), "0 means unknown");
-    assert_eq!(depth.depth_m[(3 * HEIGHT * WIDTH + 2 * WIDTH + 1) as usize], common::depth(5, 1, 2));
+    assert_eq!(
+        depth.depth_m[(3 * HEIGHT * WIDTH + 2 * WIDTH + 1) as usize],
+        common::depth(5, 1, 2)
+    );
     assert_eq!(right.depth.as_ref().unwrap().depth_m[7], 0.7, "millimetres");
     let tracks = clip.tracks.as_ref().unwrap();
-    assert_eq!((&tracks.camera[..], &tracks.pixel[..]), (&[0, 1, 1][..], &[10.0, 3.0, 39.0, 21.0, 0.0, 0.0][..]));
+    assert_eq!(
+        (&tracks.camera[..], &tracks.pixel[..]),
+        (&[0, 1, 1][..], &[10.0, 3.0, 39.0, 21.0, 0.0, 0.0][..])
+    );
     assert_eq!(tracks.position_m[..3], [6.0 * 0.001, 7.0 * 0.001, 8.0 * 0.001]);
     assert_eq!(tracks.visible.len(), 3 * 17);
 }
@@ -62,13 +96,30 @@ fn resizing_and_cutting_move_intrinsics_depth_and_tracks_together() {
     let scratch = Scratch::new("cut");
     write_episode(&scratch.0);
     // 40x22 to 20x10: scaled to 20x11, the half row below is cut.
-    let (clip, warnings) = read_clip(&scratch.0, None, &Params { height: 10, width: 20, ..Params::default() }, "c").unwrap();
+    let (clip, warnings) = read_clip(
+        &scratch.0,
+        None,
+        &Params {
+            height: 10,
+            width: 20,
+            ..Params::default()
+        },
+        "c",
+    )
+    .unwrap();
     let ext1 = &clip.cameras[1];
     assert_eq!((ext1.intrinsics.fx, ext1.intrinsics.fy), (10.0, 10.5));
     assert_eq!((ext1.intrinsics.cx, ext1.intrinsics.cy), (10.0, 5.5));
     let tracks = clip.tracks.unwrap();
-    assert_eq!(tracks.pixel, [4.75, 1.25, -0.25, -0.25], "the pixel of the last row is gone");
-    assert!(warnings.iter().any(|warning| warning.contains("1 of 3 tracks")), "{warnings:?}");
+    assert_eq!(
+        tracks.pixel,
+        [4.75, 1.25, -0.25, -0.25],
+        "the pixel of the last row is gone"
+    );
+    assert!(
+        warnings.iter().any(|warning| warning.contains("1 of 3 tracks")),
+        "{warnings:?}"
+    );
     assert_eq!(ext1.depth.as_ref().unwrap().depth_m.len(), 17 * 200);
 }
 
@@ -76,7 +127,10 @@ fn resizing_and_cutting_move_intrinsics_depth_and_tracks_together() {
 fn parameters_choose_frames_queries_and_cameras() {
     let scratch = Scratch::new("choose");
     write_episode(&scratch.0);
-    let choice = |id: &str, from: &str| CameraChoice { id: id.into(), from: from.into() };
+    let choice = |id: &str, from: &str| CameraChoice {
+        id: id.into(),
+        from: from.into(),
+    };
     let chosen = Params {
         start_frame: Some(1),
         frames: 5,
@@ -90,15 +144,32 @@ fn parameters_choose_frames_queries_and_cameras() {
     };
     let (clip, warnings) = read_clip(&scratch.0, None, &chosen, "c").unwrap();
     assert_eq!(clip.episode_frames, [1, 4, 7, 10, 13]);
-    assert_eq!((clip.query_frames, clip.anchor_frame, clip.fps), (vec![0, 1, 2, 3, 4], 4, 5.0));
-    assert_eq!((clip.cameras[0].id.as_str(), clip.cameras[1].id.as_str()), ("wrist", "right"));
+    assert_eq!(
+        (clip.query_frames, clip.anchor_frame, clip.fps),
+        (vec![0, 1, 2, 3, 4], 4, 5.0)
+    );
+    assert_eq!(
+        (clip.cameras[0].id.as_str(), clip.cameras[1].id.as_str()),
+        ("wrist", "right")
+    );
     assert_eq!(clip.cameras[1].partner, Some(0), "the partner's new name is followed");
     assert_eq!(clip.cameras[0].depth.as_ref().unwrap().range_m, [0.3, 2.0]);
-    assert!(warnings.iter().any(|warning| warning.contains("anchored at episode frame 2")), "{warnings:?}");
+    assert!(
+        warnings
+            .iter()
+            .any(|warning| warning.contains("anchored at episode frame 2")),
+        "{warnings:?}"
+    );
     assert!(clip.tracks.is_none());
-    let late = Params { start_frame: Some(10), ..params() };
+    let late = Params {
+        start_frame: Some(10),
+        ..params()
+    };
     let error = read_clip(&scratch.0, None, &late, "c").unwrap_err();
-    assert!(error.message.contains("has 20 frames") && error.message.contains("needs 27"), "{error}");
+    assert!(
+        error.message.contains("has 20 frames") && error.message.contains("needs 27"),
+        "{error}"
+    );
 }
 
 /// Damages a fresh episode and returns what ingest says.
@@ -122,7 +193,11 @@ fn described(name: &str, change: impl FnOnce(&mut Episode)) -> String {
 fn rows(name: &str, change: impl FnOnce(&mut Vec<String>)) -> String {
     said(name, |folder| {
         let path = folder.join("joints.csv");
-        let mut lines: Vec<String> = std::fs::read_to_string(&path).unwrap().lines().map(str::to_owned).collect();
+        let mut lines: Vec<String> = std::fs::read_to_string(&path)
+            .unwrap()
+            .lines()
+            .map(str::to_owned)
+            .collect();
         change(&mut lines);
         std::fs::write(path, lines.join("\n")).unwrap();
     })
@@ -130,10 +205,19 @@ fn rows(name: &str, change: impl FnOnce(&mut Vec<String>)) -> String {
 
 #[test]
 fn damaged_states_name_file_and_row() {
-    assert_eq!(rows("nan", |lines| lines[4] = "0.2,0,nan,0".into()), "`EP/joints.csv`: joint `j2` is NaN at row 3");
-    assert_eq!(rows("inf", |lines| lines[4] = "0.2,0,0,inf".into()), "`EP/joints.csv`: joint `j1` is inf at row 3");
+    assert_eq!(
+        rows("nan", |lines| lines[4] = "0.2,0,nan,0".into()),
+        "`EP/joints.csv`: joint `j2` is NaN at row 3"
+    );
+    assert_eq!(
+        rows("inf", |lines| lines[4] = "0.2,0,0,inf".into()),
+        "`EP/joints.csv`: joint `j1` is inf at row 3"
+    );
     let open = rows("gripper", |lines| lines[1] = "0,1.5,0,0".into());
-    assert_eq!(open, "`EP/joints.csv`: the gripper is 1.5 at row 0, it must be in 0 (open) to 1 (closed)");
+    assert_eq!(
+        open,
+        "`EP/joints.csv`: the gripper is 1.5 at row 0, it must be in 0 (open) to 1 (closed)"
+    );
     let short = rows("short", |lines| {
         lines.pop();
     });
@@ -149,7 +233,9 @@ fn damaged_states_name_file_and_row() {
 #[test]
 fn damaged_descriptions_name_the_camera() {
     let fixed = |episode: &mut Episode, row: usize, column: usize, value: f64| {
-        let EpisodeMount::Fixed { base_from_camera } = &mut episode.cameras[1].mount else { panic!("fixed") };
+        let EpisodeMount::Fixed { base_from_camera } = &mut episode.cameras[1].mount else {
+            panic!("fixed")
+        };
         base_from_camera.0[row][column] = value;
     };
     assert!(described("shear", |e| fixed(e, 0, 0, 0.5)).contains("`base_from_camera` of camera `ext1` is not rigid"));
@@ -170,36 +256,57 @@ fn damaged_descriptions_name_the_camera() {
     assert!(described("frames", |e| e.frame_count = 19).contains("there are more rows than the 19 frames"));
     assert!(described("anchor", |e| e.tracks.as_mut().unwrap().anchor_frame = 20).contains("anchor frame 20"));
     assert!(described("no-images", |e| e.cameras[0].images = None).contains("source camera `wrist`"));
-    assert!(said("json", |folder| std::fs::write(folder.join("episode.json"), "{").unwrap()).contains("not an episode description"));
+    assert!(
+        said("json", |folder| std::fs::write(folder.join("episode.json"), "{")
+            .unwrap())
+        .contains("not an episode description")
+    );
     let unknown = said("unknown", |folder| {
         let text = std::fs::read_to_string(folder.join("episode.json")).unwrap();
-        std::fs::write(folder.join("episode.json"), text.replacen("\"fps\"", "\"frame_rate\": 1, \"fps\"", 1)).unwrap();
+        std::fs::write(
+            folder.join("episode.json"),
+            text.replacen("\"fps\"", "\"frame_rate\": 1, \"fps\"", 1),
+        )
+        .unwrap();
     });
     assert!(unknown.contains("frame_rate"), "{unknown}");
 }
 
 #[test]
 fn damaged_images_and_arrays_name_the_file() {
-    let missing = said("missing", |folder| std::fs::remove_file(folder.join("ext1/000004.png")).unwrap());
+    let missing = said("missing", |folder| {
+        std::fs::remove_file(folder.join("ext1/000004.png")).unwrap()
+    });
     assert_eq!(missing, "`EP/ext1`: it has 19 PNG files, the episode 20 frames");
-    let renamed = said("renamed", |folder| std::fs::rename(folder.join("ext1/000004.png"), folder.join("ext1/4.png")).unwrap());
+    let renamed = said("renamed", |folder| {
+        std::fs::rename(folder.join("ext1/000004.png"), folder.join("ext1/4.png")).unwrap()
+    });
     assert_eq!(renamed, "`EP/ext1/000004.png`: the file is missing");
     let cut = said("cut-png", |folder| {
         let path = folder.join("wrist/000009.png");
         let bytes = std::fs::read(&path).unwrap();
         std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
     });
-    assert!(cut.starts_with("`EP/wrist/000009.png`: not a readable PNG image"), "{cut}");
+    assert!(
+        cut.starts_with("`EP/wrist/000009.png`: not a readable PNG image"),
+        "{cut}"
+    );
     let deep = said("deep", |folder| {
         let image = image::ImageBuffer::<image::Rgb<u16>, _>::new(WIDTH, HEIGHT);
         image.save(folder.join("wrist/000009.png")).unwrap();
     });
     assert!(deep.contains("expected 8-bit RGB or grey"), "{deep}");
     let glass = said("glass", |folder| {
-        image::RgbaImage::new(WIDTH, HEIGHT).save(folder.join("wrist/000009.png")).unwrap();
+        image::RgbaImage::new(WIDTH, HEIGHT)
+            .save(folder.join("wrist/000009.png"))
+            .unwrap();
     });
     assert!(glass.contains("transparent"), "{glass}");
-    let other = said("other-size", |folder| image::RgbImage::new(8, 8).save(folder.join("wrist/000009.png")).unwrap());
+    let other = said("other-size", |folder| {
+        image::RgbImage::new(8, 8)
+            .save(folder.join("wrist/000009.png"))
+            .unwrap()
+    });
     assert!(other.contains("images are 8x8"), "{other}");
     // A header that declares 60,000 x 60,000 pixels is refused before anything is allocated.
     let huge = said("huge", |folder| {
@@ -209,10 +316,17 @@ fn damaged_images_and_arrays_name_the_file() {
         std::fs::write(&path, bytes).unwrap();
     });
     assert!(huge.contains("000009.png"), "{huge}");
-    let depth = said("depth", |folder| std::fs::remove_file(folder.join("ext1_depth.npy")).unwrap());
+    let depth = said("depth", |folder| {
+        std::fs::remove_file(folder.join("ext1_depth.npy")).unwrap()
+    });
     assert!(depth.contains("the depth file or folder is missing"), "{depth}");
     let shape = said("shape", |folder| {
-        common::npy(&folder.join("ext1_depth.npy"), "<f4", &[1, 2], &common::f32_bytes([0.0, 1.0]));
+        common::npy(
+            &folder.join("ext1_depth.npy"),
+            "<f4",
+            &[1, 2],
+            &common::f32_bytes([0.0, 1.0]),
+        );
     });
     assert!(shape.contains("the shape is [1, 2], expected [20, 22, 40]"), "{shape}");
     let cut = said("cut-npy", |folder| {
@@ -226,7 +340,12 @@ fn damaged_images_and_arrays_name_the_file() {
     });
     assert!(pose.contains("the pose at frame 0 is all zeros"), "{pose}");
     let track = said("track", |folder| {
-        common::npy(&folder.join("tracks/camera.npy"), "<u4", &[3], &[0, 0, 0, 0, 9, 0, 0, 0, 0, 0, 0, 0]);
+        common::npy(
+            &folder.join("tracks/camera.npy"),
+            "<u4",
+            &[3],
+            &[0, 0, 0, 0, 9, 0, 0, 0, 0, 0, 0, 0],
+        );
     });
     assert!(track.contains("track 1 lies in camera 9 of 3"), "{track}");
 }
@@ -254,9 +373,17 @@ fn a_calibration_file_replaces_that_of_the_episode() {
     std::fs::write(&path, text).unwrap();
     let (clip, _) = read_clip(&scratch.0, Some(&path), &params(), "c").unwrap();
     let ext1 = &clip.cameras[1];
-    assert_eq!((ext1.intrinsics.fx, ext1.intrinsics.cx, ext1.intrinsics.cy), (25.0, 20.0, 11.0));
-    assert!(matches!(&ext1.mount, CameraMount::Fixed { base_from_camera } if base_from_camera.translation == [2.0, 0.0, 0.0]));
-    assert_eq!(clip.cameras[0].intrinsics.fx, 20.0, "cameras it does not name keep theirs");
+    assert_eq!(
+        (ext1.intrinsics.fx, ext1.intrinsics.cx, ext1.intrinsics.cy),
+        (25.0, 20.0, 11.0)
+    );
+    assert!(
+        matches!(&ext1.mount, CameraMount::Fixed { base_from_camera } if base_from_camera.translation == [2.0, 0.0, 0.0])
+    );
+    assert_eq!(
+        clip.cameras[0].intrinsics.fx, 20.0,
+        "cameras it does not name keep theirs"
+    );
     assert_eq!(clip.calibration_note, "other.json: better");
     std::fs::write(&path, text.replace("50, 0,", "0, 0,")).unwrap();
     let error = read_clip(&scratch.0, Some(&path), &params(), "c").unwrap_err();
@@ -273,24 +400,48 @@ fn folders_of_episodes_are_listed() {
     std::fs::create_dir(scratch.0.join("notes")).unwrap();
     std::fs::write(scratch.0.join("b/episode.json"), "{").unwrap();
     let listed = list_episodes(&scratch.0).unwrap();
-    let folders: Vec<_> = listed.iter().map(|episode| (episode.folder.as_str(), episode.name.as_str())).collect();
-    assert_eq!(folders, [("a", "LAB+a+2026-01-31-12h_00m"), ("b", "b")], "a damaged one is listed by its folder");
+    let folders: Vec<_> = listed
+        .iter()
+        .map(|episode| (episode.folder.as_str(), episode.name.as_str()))
+        .collect();
+    assert_eq!(
+        folders,
+        [("a", "LAB+a+2026-01-31-12h_00m"), ("b", "b")],
+        "a damaged one is listed by its folder"
+    );
     assert!(listed[0].files.contains(&"tracks/pixel.npy".to_owned()) && listed[0].files.is_sorted());
-    assert!(list_episodes(&scratch.0.join("notes")).unwrap_err().message.contains("no episode of a known layout"));
+    assert!(
+        list_episodes(&scratch.0.join("notes"))
+            .unwrap_err()
+            .message
+            .contains("no episode of a known layout")
+    );
 }
 
 #[test]
 fn the_script_of_the_documentation_writes_an_episode() {
-    let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/episode-format.md")).unwrap();
-    let script = text.split("```python\n").nth(1).and_then(|rest| rest.split("```").next()).expect("a Python script");
+    let text =
+        std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/episode-format.md")).unwrap();
+    let script = text
+        .split("```python\n")
+        .nth(1)
+        .and_then(|rest| rest.split("```").next())
+        .expect("a Python script");
     let python = std::env::var("ROGS_PEER_PYTHON").unwrap_or_else(|_| "python3".into());
-    let ready = std::process::Command::new(&python).args(["-c", "import numpy, PIL"]).output();
+    let ready = std::process::Command::new(&python)
+        .args(["-c", "import numpy, PIL"])
+        .output();
     if !ready.is_ok_and(|output| output.status.success()) {
         eprintln!("skipped: `{python}` with numpy and Pillow is not here (set ROGS_PEER_PYTHON)");
         return;
     }
     let scratch = Scratch::new("python");
-    let output = std::process::Command::new(&python).arg("-c").arg(script).current_dir(&scratch.0).output().unwrap();
+    let output = std::process::Command::new(&python)
+        .arg("-c")
+        .arg(script)
+        .current_dir(&scratch.0)
+        .output()
+        .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let listed = list_episodes(&scratch.0).unwrap();
     let (clip, _) = read_clip(&scratch.0.join(&listed[0].folder), None, &Params::default(), "c").unwrap();

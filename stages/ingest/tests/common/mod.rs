@@ -67,7 +67,12 @@ fn camera(id: &str, role: EpisodeCameraRole, mount: EpisodeMount) -> EpisodeCame
         images: Some(id.into()),
         width: WIDTH,
         height: HEIGHT,
-        intrinsics: Intrinsics { fx: 20.0, fy: 21.0, cx: 20.0, cy: 11.0 },
+        intrinsics: Intrinsics {
+            fx: 20.0,
+            fy: 21.0,
+            cx: 20.0,
+            cy: 11.0,
+        },
         pixel_centres: PixelCentres::Half,
         mount,
         depth: None,
@@ -75,20 +80,40 @@ fn camera(id: &str, role: EpisodeCameraRole, mount: EpisodeMount) -> EpisodeCame
 }
 
 pub(crate) fn pose(x: f64) -> RigidPose {
-    RigidPose { rotation: [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0], translation: [x, 0.25, 0.5] }
+    RigidPose {
+        rotation: [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+        translation: [x, 0.25, 0.5],
+    }
 }
 
 /// The description of the small episode.
 pub(crate) fn description() -> Episode {
     let matrix = |x| Matrix4::from(pose(x));
-    let hand_eye = EpisodeMount::HandEye { link: "panda_link8".into(), link_from_camera: matrix(0.0) };
-    let mut ext1 = camera("ext1", EpisodeCameraRole::Source, EpisodeMount::Fixed { base_from_camera: matrix(1.0) });
-    ext1.depth = Some(EpisodeDepth { path: "ext1_depth.npy".into(), range_m: [0.2, 4.0] });
-    let trajectory = EpisodeMount::Trajectory { base_from_camera: "right.npy".into() };
+    let hand_eye = EpisodeMount::HandEye {
+        link: "panda_link8".into(),
+        link_from_camera: matrix(0.0),
+    };
+    let mut ext1 = camera(
+        "ext1",
+        EpisodeCameraRole::Source,
+        EpisodeMount::Fixed {
+            base_from_camera: matrix(1.0),
+        },
+    );
+    ext1.depth = Some(EpisodeDepth {
+        path: "ext1_depth.npy".into(),
+        range_m: [0.2, 4.0],
+    });
+    let trajectory = EpisodeMount::Trajectory {
+        base_from_camera: "right.npy".into(),
+    };
     let mut right = camera("ext1_right", EpisodeCameraRole::Evaluation, trajectory);
     right.partner = Some("ext1".into());
     right.pixel_centres = PixelCentres::Integer;
-    right.depth = Some(EpisodeDepth { path: "right_depth".into(), range_m: [0.1, 5.0] });
+    right.depth = Some(EpisodeDepth {
+        path: "right_depth".into(),
+        range_m: [0.1, 5.0],
+    });
     Episode {
         format: EPISODE_FORMAT.into(),
         episode_id: "LAB+a+2026-01-31-12h:00m".into(),
@@ -96,7 +121,11 @@ pub(crate) fn description() -> Episode {
         frame_count: FRAMES,
         task: "turn".into(),
         calibration_note: "exact".into(),
-        robot: EpisodeRobot { joint_names: vec!["j1".into(), "j2".into()], states: "joints.csv".into(), model: None },
+        robot: EpisodeRobot {
+            joint_names: vec!["j1".into(), "j2".into()],
+            states: "joints.csv".into(),
+            model: None,
+        },
         cameras: vec![camera("wrist", EpisodeCameraRole::Source, hand_eye), ext1, right],
         tracks: Some(EpisodeTracks {
             anchor_frame: 2,
@@ -109,7 +138,11 @@ pub(crate) fn description() -> Episode {
 }
 
 pub(crate) fn write_description(folder: &Path, episode: &Episode) {
-    std::fs::write(folder.join("episode.json"), serde_json::to_string_pretty(episode).unwrap()).unwrap();
+    std::fs::write(
+        folder.join("episode.json"),
+        serde_json::to_string_pretty(episode).unwrap(),
+    )
+    .unwrap();
 }
 
 /// `descr` is numpy's name of the type.
@@ -133,12 +166,18 @@ pub(crate) fn f32_bytes(values: impl IntoIterator<Item = f32>) -> Vec<u8> {
 }
 
 pub(crate) fn write_png(path: &Path, camera: u8, frame: u32) {
-    image::RgbImage::from_fn(WIDTH, HEIGHT, |x, y| image::Rgb(colour(camera, frame, x, y))).save(path).unwrap();
+    image::RgbImage::from_fn(WIDTH, HEIGHT, |x, y| image::Rgb(colour(camera, frame, x, y)))
+        .save(path)
+        .unwrap();
 }
 
 /// Depth in metres of camera ext1.
 pub(crate) fn depth(frame: u32, x: u32, y: u32) -> f32 {
-    if x == 0 { 0.0 } else { 0.5 + frame as f32 * 0.01 + y as f32 * 0.001 }
+    if x == 0 {
+        0.0
+    } else {
+        0.5 + frame as f32 * 0.01 + y as f32 * 0.001
+    }
 }
 
 /// Writes the whole episode.
@@ -158,7 +197,12 @@ pub(crate) fn write_episode(folder: &Path) {
     std::fs::write(folder.join("joints.csv"), csv).unwrap();
     let pixels = || (0..FRAMES).flat_map(|f| (0..HEIGHT).flat_map(move |y| (0..WIDTH).map(move |x| (f, x, y))));
     let metres = f32_bytes(pixels().map(|(f, x, y)| depth(f, x, y)));
-    npy(&folder.join("ext1_depth.npy"), "<f4", &[FRAMES as usize, HEIGHT as usize, WIDTH as usize], &metres);
+    npy(
+        &folder.join("ext1_depth.npy"),
+        "<f4",
+        &[FRAMES as usize, HEIGHT as usize, WIDTH as usize],
+        &metres,
+    );
     std::fs::create_dir_all(folder.join("right_depth")).unwrap();
     for frame in 0..FRAMES {
         let path = folder.join(format!("right_depth/{frame:06}.png"));
@@ -167,12 +211,32 @@ pub(crate) fn write_episode(folder: &Path) {
             .unwrap();
     }
     let matrices = (0..FRAMES).flat_map(|frame| Matrix4::from(pose(f64::from(frame) * 0.1)).0.into_iter().flatten());
-    npy(&folder.join("right.npy"), "<f8", &[FRAMES as usize, 4, 4], &matrices.flat_map(f64::to_le_bytes).collect::<Vec<u8>>());
+    npy(
+        &folder.join("right.npy"),
+        "<f8",
+        &[FRAMES as usize, 4, 4],
+        &matrices.flat_map(f64::to_le_bytes).collect::<Vec<u8>>(),
+    );
     let tracks = folder.join("tracks");
-    npy(&tracks.join("camera.npy"), "<i8", &[3], &[0i64, 1, 1].into_iter().flat_map(i64::to_le_bytes).collect::<Vec<u8>>());
-    npy(&tracks.join("pixel.npy"), "<f4", &[3, 2], &f32_bytes([10.5, 3.5, 39.5, 21.5, 0.5, 0.5]));
+    npy(
+        &tracks.join("camera.npy"),
+        "<i8",
+        &[3],
+        &[0i64, 1, 1].into_iter().flat_map(i64::to_le_bytes).collect::<Vec<u8>>(),
+    );
+    npy(
+        &tracks.join("pixel.npy"),
+        "<f4",
+        &[3, 2],
+        &f32_bytes([10.5, 3.5, 39.5, 21.5, 0.5, 0.5]),
+    );
     let positions = (0..3 * FRAMES * 3).map(|value| value as f32 * 0.001);
-    npy(&tracks.join("position.npy"), "<f4", &[3, FRAMES as usize, 3], &f32_bytes(positions));
+    npy(
+        &tracks.join("position.npy"),
+        "<f4",
+        &[3, FRAMES as usize, 3],
+        &f32_bytes(positions),
+    );
     let visible: Vec<u8> = (0..3 * FRAMES).map(|value| u8::from(value % 2 == 0)).collect();
     npy(&tracks.join("visible.npy"), "|b1", &[3, FRAMES as usize], &visible);
 }
