@@ -123,9 +123,7 @@ impl Estimate {
             );
         }
         let gibibytes = |bytes: u64| format!("{:.2} GiB", bytes as f64 / 1_073_741_824.0);
-        let seconds = self
-            .seconds
-            .map_or("unknown (no earlier records)".to_owned(), |seconds| duration(seconds));
+        let seconds = self.seconds.map_or("unknown (no earlier records)".to_owned(), duration);
         let disk = self.disk_bytes.map_or("unknown".to_owned(), gibibytes);
         let free = self.free_bytes.map_or("unknown".to_owned(), gibibytes);
         let _ = writeln!(

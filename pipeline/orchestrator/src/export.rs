@@ -49,8 +49,9 @@ pub fn stages(plan: &Plan) -> Vec<&str> {
 /// The error of the writer.
 pub fn write_units(plan: &Plan, shards: u32, out: &mut dyn Write) -> std::io::Result<usize> {
     let mut number = 0;
+    let maker = plan.key_maker();
     for clip in 0..plan.clips.len() {
-        let keys = plan.keys(clip);
+        let keys = maker.keys(clip);
         let shard = shard_of(clip, plan.clips.len(), shards);
         for node in 0..plan.nodes.len() {
             let job = plan.job(number, Unit { clip, node }, &keys);

@@ -48,8 +48,9 @@ pub fn collect(run: &Path, dry_run: bool) -> Result<Collected> {
 }
 
 fn needed(plan: &Plan) -> BTreeSet<PathBuf> {
+    let maker = plan.key_maker();
     let of_clip = |clip: usize| {
-        let keys = plan.keys(clip);
+        let keys = maker.keys(clip);
         (0..plan.nodes.len())
             .map(move |node| plan.output(Unit { clip, node }, &keys))
             .collect::<Vec<_>>()

@@ -5,7 +5,7 @@ use std::path::Path;
 use rayon::prelude::*;
 use rogs_schemas::{CacheKey, Error};
 
-use crate::plan::{Plan, Unit};
+use crate::plan::{KeyMaker, Plan, Unit};
 
 /// What lies at the place of an output.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -35,19 +35,24 @@ impl Plan {
     /// States of all units, clip by clip, node by node.
     #[must_use]
     pub fn states(&self) -> Vec<Vec<OutputState>> {
+        let maker = self.key_maker();
         (0..self.clips.len())
             .into_par_iter()
-            .map(|clip| self.clip_states(clip))
+            .map(|clip| self.states_with(clip, &maker))
             .collect()
     }
 
     /// States of the units of one clip, by node.
     #[must_use]
     pub fn clip_states(&self, clip: usize) -> Vec<OutputState> {
+        self.states_with(clip, &self.key_maker())
+    }
+
+    fn states_with(&self, clip: usize, maker: &KeyMaker<'_>) -> Vec<OutputState> {
         if !self.clip_folder(clip).is_dir() {
             return vec![OutputState::Missing; self.nodes.len()];
         }
-        let keys = self.keys(clip);
+        let keys = maker.keys(clip);
         let state = |node: usize| {
             let unit = Unit { clip, node };
             output_state(&self.run.join(self.output(unit, &keys)), keys[node].key)

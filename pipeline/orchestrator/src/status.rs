@@ -116,6 +116,7 @@ pub fn status(run: &Path) -> Result<Status> {
 pub fn status_of(plan: &Plan) -> Result<(Status, Vec<Vec<OutputState>>)> {
     let last = last_by_output(read_all(&plan.run)?);
     let states = plan.states();
+    let maker = plan.key_maker();
     let units: Vec<(Vec<UnitState>, Vec<StatusFailure>)> = (0..plan.clips.len())
         .into_par_iter()
         .map(|clip| {
@@ -124,7 +125,7 @@ pub fn status_of(plan: &Plan) -> Result<(Status, Vec<Vec<OutputState>>)> {
             if states[clip].iter().all(|state| *state == OutputState::UpToDate) {
                 return (vec![UnitState::Done; plan.nodes.len()], failures);
             }
-            let keys = plan.keys(clip);
+            let keys = maker.keys(clip);
             for node in 0..plan.nodes.len() {
                 let output = plan.output(Unit { clip, node }, &keys);
                 let attempt = last

@@ -38,8 +38,9 @@ pub fn verify(run: &Path) -> Result<Verification> {
 }
 
 fn verify_plan(plan: &Plan) -> Verification {
+    let maker = plan.key_maker();
     let check = |clip: usize| -> Vec<Option<BadOutput>> {
-        let keys = plan.keys(clip);
+        let keys = maker.keys(clip);
         let states = plan.clip_states(clip);
         let unit = |node: usize| {
             let output = plan.output(Unit { clip, node }, &keys);

@@ -38,7 +38,7 @@ pub fn execute(plan: &Plan, options: &RunOptions) -> Result<RunSummary> {
     let states = plan.states();
     sweep(plan, &states)?;
     let (tell, hear) = channel();
-    let run = std::thread::scope(|scope| {
+    std::thread::scope(|scope| {
         let slots = (0..options.workers)
             .map(|number| Slot::start(scope, number, options, tell.clone()))
             .collect();
@@ -47,8 +47,7 @@ pub fn execute(plan: &Plan, options: &RunOptions) -> Result<RunSummary> {
         // Dropping the slots ends their threads, and those their workers.
         schedule.slots.clear();
         result.map(|()| schedule.summary(start))
-    });
-    run
+    })
 }
 
 /// Removes what killed writers left behind, in the folders of clips that are not done.
@@ -143,7 +142,7 @@ impl<'a> Schedule<'a> {
                     self.slots[slot].running = None;
                     self.display.idle(slot);
                     if let Some(unit) = self.running.remove(&job) {
-                        self.ended(unit, result)?;
+                        self.ended(unit, *result)?;
                     }
                 }
                 Err(RecvTimeoutError::Timeout) => {}

@@ -34,7 +34,7 @@ pub(super) enum Message {
     Ended {
         slot: usize,
         job: u64,
-        result: JobResult,
+        result: Box<JobResult>,
     },
 }
 
@@ -115,7 +115,7 @@ fn serve(number: usize, options: &RunOptions, jobs: &Receiver<Job>, tell: &Sende
                 message,
             });
         };
-        let result = run(options, &mut worker, &job, &mut progress);
+        let result = Box::new(run(options, &mut worker, &job, &mut progress));
         if tell
             .send(Message::Ended {
                 slot: number,

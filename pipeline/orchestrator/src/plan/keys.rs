@@ -33,17 +33,43 @@ impl Plan {
         params
     }
 
+    /// Keys of all units of a clip, by node. For many clips [`Plan::key_maker`] is faster.
+    #[must_use]
+    pub fn keys(&self, clip: usize) -> Vec<UnitKey> {
+        self.key_maker().keys(clip)
+    }
+
+    /// Makes keys of one clip after the other; what all clips have in common is worked out once.
+    #[must_use]
+    pub fn key_maker(&self) -> KeyMaker<'_> {
+        KeyMaker {
+            plan: self,
+            params: self.nodes.iter().map(|node| canonical_json(&node.params)).collect(),
+        }
+    }
+}
+
+/// Makes keys, see [`Plan::key_maker`].
+#[derive(Debug, Clone)]
+pub struct KeyMaker<'a> {
+    plan: &'a Plan,
+    /// Canonical parameters by node.
+    params: Vec<String>,
+}
+
+impl KeyMaker<'_> {
     /// Keys of all units of a clip, by node.
     #[must_use]
     pub fn keys(&self, clip: usize) -> Vec<UnitKey> {
-        let source = &self.clips[clip];
-        let mut keys: Vec<UnitKey> = Vec::with_capacity(self.nodes.len());
-        for (index, node) in self.nodes.iter().enumerate() {
+        let plan = self.plan;
+        let source = &plan.clips[clip];
+        let mut keys: Vec<UnitKey> = Vec::with_capacity(plan.nodes.len());
+        for (index, node) in plan.nodes.iter().enumerate() {
             let id = |from: &From| match from {
                 From::Episode => Some(source.content.to_string()),
                 From::Calibration => source
                     .calibration
-                    .map(|index| self.calibrations[index as usize].content.to_string()),
+                    .map(|index| plan.calibrations[index as usize].content.to_string()),
                 // Nodes are ordered, so the upstream key is there already.
                 From::Node(node) => Some(keys[*node].key.to_string()),
                 From::Source(source) => Some(source.content.to_string()),
@@ -53,11 +79,16 @@ impl Plan {
                 .iter()
                 .filter_map(|input| Some((input.role.clone(), id(&input.from)?)))
                 .collect();
+            // Only ingest has parameters that differ between clips.
+            let params = match node.stage.as_str() {
+                "ingest" => canonical_json(&plan.params(Unit { clip, node: index })),
+                _ => self.params[index].clone(),
+            };
             let material = KeyMaterial {
                 stage: node.stage.clone(),
                 stage_version: node.stage_version,
                 schema: node.schema.clone(),
-                params: canonical_json(&self.params(Unit { clip, node: index })),
+                params,
                 inputs,
             };
             keys.push(UnitKey {

@@ -18,7 +18,7 @@ use serde_json::{Map, Value};
 
 pub use build::make_plan;
 pub use file::{PLAN_FILE, read_plan};
-pub use keys::UnitKey;
+pub use keys::{KeyMaker, UnitKey};
 
 /// Value of [`Plan::format`].
 pub const PLAN_FORMAT: &str = "rogs-plan 1";
