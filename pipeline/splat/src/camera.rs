@@ -1,6 +1,7 @@
 //! Pinhole cameras and the settings of a render.
 
 use rogs_schemas::{Intrinsics, RigidPose};
+use serde::{Deserialize, Serialize};
 
 use crate::error::{Result, SplatError};
 use crate::simd::SimdLevel;
@@ -10,7 +11,7 @@ pub const MAX_SIDE: u32 = 1 << 14;
 
 /// A pinhole camera with OpenCV axes (x right, y down, z forward). Pixel `(column, row)` has its centre at
 /// `(column + 0.5, row + 0.5)`.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
     /// Image width, pixels.
     pub width: u32,
@@ -115,7 +116,8 @@ impl Camera {
 }
 
 /// How the low-pass filter of the projection acts on opacity.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Mode {
     /// The opacity is used as it is; Stage 1 and Stage 2.
     #[default]
@@ -125,7 +127,7 @@ pub enum Mode {
 }
 
 /// Settings of a render (`gaussian-rasterizer.md` section 1).
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RasterConfig {
     /// Classic or antialiased.
     pub mode: Mode,

@@ -411,17 +411,18 @@ impl WithSimd for Pool<'_> {
             channels,
             out,
         } = self;
-        for (local, out) in out.chunks_exact_mut(channels).enumerate() {
-            let (pixels, weights) = piece.row(local);
-            if pixels.is_empty() {
-                continue;
-            }
-            // Eight vectors of channels at a time stay in registers over all entries of the row.
-            let (wide, narrow) = S::as_mut_simd_f32s(out);
-            let whole = wide.len() * LANES;
-            for (group, wide) in wide.chunks_mut(8).enumerate() {
-                let first = group * 8 * LANES;
-                if let Ok(wide) = <&mut [S::f32s; 8]>::try_from(&mut *wide) {
+        // Eight vectors of channels at a time: they stay in registers over all entries of a row, and that part of the
+        // features of the pixels around stays in the second-level cache over the rows of the piece.
+        for first in (0..channels).step_by(POOL_CHANNELS) {
+            for (local, out) in out.chunks_exact_mut(channels).enumerate() {
+                let (pixels, weights) = piece.row(local);
+                if pixels.is_empty() {
+                    continue;
+                }
+                let out = &mut out[first..channels.min(first + POOL_CHANNELS)];
+                let (wide, narrow) = S::as_mut_simd_f32s(out);
+                let whole = wide.len() * LANES;
+                if let Ok(wide) = <&mut [S::f32s; POOL_CHANNELS / LANES]>::try_from(&mut *wide) {
                     accumulate(simd, wide, pixels, weights, features, channels, first);
                 } else {
                     for (k, one) in wide.iter_mut().enumerate() {
@@ -429,15 +430,18 @@ impl WithSimd for Pool<'_> {
                         accumulate::<S, 1>(simd, one, pixels, weights, features, channels, first + k * LANES);
                     }
                 }
-            }
-            for (k, value) in narrow.iter_mut().enumerate() {
-                for (&pixel, &weight) in pixels.iter().zip(weights) {
-                    *value = weight.mul_add(features[pixel as usize * channels + whole + k], *value);
+                for (k, value) in narrow.iter_mut().enumerate() {
+                    for (&pixel, &weight) in pixels.iter().zip(weights) {
+                        *value = weight.mul_add(features[pixel as usize * channels + first + whole + k], *value);
+                    }
                 }
             }
         }
     }
 }
+
+/// Channels that are pooled at a time.
+const POOL_CHANNELS: usize = 8 * LANES;
 
 #[inline(always)]
 fn accumulate<S: Simd, const K: usize>(

@@ -5,12 +5,14 @@
 //! equal bit for bit on AVX-512, on AVX2 and in portable code.
 
 use pulp::{Simd, WithSimd};
+use serde::{Deserialize, Serialize};
 
 /// Lanes of a vector: a block of 4 x 4 pixels, or 16 Gaussians.
 pub(crate) const LANES: usize = 16;
 
 /// Which vector instructions to use.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum SimdLevel {
     /// The widest that the machine has.
     #[default]
