@@ -258,11 +258,7 @@ fn store(
         offset: 0,
         stored: payload.len() as u32,
         decoded: canonical.len() as u32,
-        elements: if element == 0 {
-            0
-        } else {
-            (canonical.len() / element) as u32
-        },
+        elements: canonical.len().checked_div(element).unwrap_or(0) as u32,
         codec: codec.number(),
         flags,
         stored_hash: xxh3_64(&payload),

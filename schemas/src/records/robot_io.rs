@@ -98,18 +98,17 @@ impl Record for RobotMaps {
         ] {
             count(what, length, total).map_err(wrong)?;
         }
-        let planes = depth
-            .chunks_exact(area)
-            .zip(link.chunks_exact(area))
-            .zip(support.chunks_exact(area));
-        let map = |(&(camera, frame), ((depth, link), support)): (&(u32, u32), ((&[f32], &[u8]), &[u8]))| RobotMap {
-            camera,
-            frame,
-            depth_m: depth.to_vec(),
-            link: link.to_vec(),
-            support: support.to_vec(),
-        };
-        let maps = head.maps.iter().zip(planes).map(map).collect();
+        let mut maps = Vec::with_capacity(head.maps.len());
+        for (number, &(camera, frame)) in head.maps.iter().enumerate() {
+            let pixels = number * area..(number + 1) * area;
+            maps.push(RobotMap {
+                camera,
+                frame,
+                depth_m: depth[pixels.clone()].to_vec(),
+                link: link[pixels.clone()].to_vec(),
+                support: support[pixels].to_vec(),
+            });
+        }
         let robot = Self {
             clip_id: head.clip_id,
             link_names: head.link_names,

@@ -190,7 +190,8 @@ impl Rows {
         }
         if table.has("timestamp") {
             let (_, times) = table.numbers("timestamp")?;
-            let off = |&frame: &usize| !((times[rows[frame]] * dataset.info.fps - frame as f64).abs() < 0.5);
+            let late = |frame: usize| (times[rows[frame]] * dataset.info.fps - frame as f64).abs();
+            let off = |&frame: &usize| late(frame).is_nan() || late(frame) >= 0.5;
             if let Some(frame) = (0..rows.len()).find(off) {
                 let text = format!(
                     "the timestamp {} of frame {frame} does not fit {} frames per second",

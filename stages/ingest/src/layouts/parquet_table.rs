@@ -151,9 +151,7 @@ fn column(array: &ArrayRef) -> Result<Column, String> {
         DataType::FixedSizeList(_, width) => {
             let list: &FixedSizeListArray = array.as_fixed_size_list();
             let width = usize::try_from(*width).map_err(|_| "a list of negative length".to_owned())?;
-            let values = list
-                .values()
-                .slice(list.value_offset_at(0) as usize, list.len() * width);
+            let values = list.values().slice(list.value_offset_at(0), list.len() * width);
             Ok(Column::Numbers {
                 width,
                 values: numbers(&values, list.null_count())?,

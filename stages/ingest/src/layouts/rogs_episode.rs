@@ -241,8 +241,7 @@ fn read_states(root: &Path, json: &Path, robot: &EpisodeRobot, frames: u32) -> S
         states.gripper.push(number(gripper_column)?);
         if let Some(column) = time_column {
             let time = number(column)?;
-            // Also true for NaN.
-            if !(time > before) {
+            if time.is_nan() || time <= before {
                 return Err(wrong(&path, format!("the time {time} at row {row} does not ascend")));
             }
             before = time;
