@@ -4,7 +4,7 @@
 //! with the values writes the output; nothing of size tokens x tokens is ever held.
 
 use gemm::Parallelism;
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::pointwise::exp;
@@ -105,7 +105,7 @@ impl PackedAttention<'_> {
         );
         let mut sums = [0.0f32; ROWS];
         for (row, sum) in scores.chunks_exact_mut(tokens).zip(&mut sums[..rows]) {
-            *sum = Arch::new().dispatch(#[inline(always)] || exponentials(row));
+            *sum = Arch::new().dispatch(Exponentials(row));
         }
         // output [rows, size] = scores values, rows apart by the width of all heads
         product(
@@ -157,32 +157,30 @@ impl PackedAttention<'_> {
     }
 }
 
-/// Replaces scores by e^(score - largest) and returns their sum.
-#[inline(always)]
-fn exponentials(row: &mut [f32]) -> f32 {
-    // Sixteen running values, so that maxima and sums run in vectors and in a fixed order.
-    const LANES: usize = 16;
-    let (chunks, rest) = row.as_chunks_mut::<LANES>();
-    let mut largest = [f32::NEG_INFINITY; LANES];
-    for chunk in chunks.iter() {
-        for lane in 0..LANES {
-            largest[lane] = if chunk[lane] > largest[lane] { chunk[lane] } else { largest[lane] };
+/// Replaces the scores of a row by e^(score - largest) and returns their sum.
+struct Exponentials<'a>(&'a mut [f32]);
+
+impl WithSimd for Exponentials<'_> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f32 {
+        let (vectors, rest) = S::as_simd_f32s(self.0);
+        let mut largest = simd.splat_f32s(f32::NEG_INFINITY);
+        for &vector in vectors {
+            largest = simd.max_f32s(largest, vector);
         }
-    }
-    let largest = largest.iter().chain(rest.iter()).fold(f32::NEG_INFINITY, |a, &b| a.max(b));
-    let mut sums = [0.0f32; LANES];
-    for chunk in chunks {
-        for lane in 0..LANES {
-            let value = exp(chunk[lane] - largest);
-            chunk[lane] = value;
-            sums[lane] += value;
+        let largest = rest.iter().fold(simd.reduce_max_f32s(largest), |a, &b| a.max(b));
+        for value in self.0.iter_mut() {
+            *value = exp(*value - largest);
         }
+        let (vectors, rest) = S::as_simd_f32s(self.0);
+        let mut sum = simd.splat_f32s(0.0);
+        for &vector in vectors {
+            sum = simd.add_f32s(sum, vector);
+        }
+        rest.iter().fold(simd.reduce_sum_f32s(sum), |a, &b| a + b)
     }
-    for (value, sum) in rest.iter_mut().zip(&mut sums) {
-        *value = exp(*value - largest);
-        *sum += *value;
-    }
-    sums.iter().sum()
 }
 
 #[inline(always)]
