@@ -1,0 +1,78 @@
+//! Calibrated merging of camera-wise fields (paper, appendix on baselines).
+
+use rogs_schemas::RigidPose;
+use rogs_splat::{Colour, Gaussians};
+
+use crate::metrics::median;
+use crate::outside::{quaternion_of, quaternion_product};
+
+/// The scale factor of a camera's field: median over all valid pixels of all given images of reference over predicted
+/// depth. `None` when no pixel is valid. Each entry is prediction, reference, support of one image. `[H, W]` each
+#[must_use]
+pub fn stereo_scale(images: &[(&[f32], &[f32], &[bool])]) -> Option<f64> {
+    let ratio = |((&predicted, &truth), &supported): ((&f32, &f32), &bool)| {
+        (supported && predicted.is_finite() && predicted > 0.0).then(|| f64::from(truth) / f64::from(predicted))
+    };
+    let of = |(own, truth, support): &(&[f32], &[f32], &[bool])| -> Vec<f64> {
+        own.iter()
+            .zip(truth.iter())
+            .zip(support.iter())
+            .filter_map(ratio)
+            .collect()
+    };
+    median(images.iter().flat_map(of).collect())
+}
+
+/// Gaussians scaled about the origin of their frame `b` and brought to frame `a`; colours with directions (spherical
+/// harmonics above degree 0) keep their coefficients. Extra channels are dropped, for their meaning is unknown.
+#[must_use]
+pub fn transformed(gaussians: &Gaussians, a_from_b: &RigidPose, scale: f64) -> Gaussians {
+    let RigidPose {
+        rotation: r,
+        translation: t,
+    } = a_from_b;
+    let turn = quaternion_of([[r[0], r[3], r[6]], [r[1], r[4], r[7]], [r[2], r[5], r[8]]]);
+    let point = |p: &[f32]| -> [f32; 3] {
+        std::array::from_fn(|row| {
+            let turned: f64 = (0..3).map(|k| r[3 * row + k] * scale * f64::from(p[k])).sum();
+            (turned + t[row]) as f32
+        })
+    };
+    Gaussians {
+        means: gaussians.means.chunks_exact(3).flat_map(point).collect(),
+        quats: (gaussians.quats.chunks_exact(4))
+            .flat_map(|q| quaternion_product(turn, [q[0], q[1], q[2], q[3]]))
+            .collect(),
+        scales: gaussians
+            .scales
+            .iter()
+            .map(|&own| (f64::from(own) * scale) as f32)
+            .collect(),
+        opacities: gaussians.opacities.clone(),
+        colour: gaussians.colour.clone(),
+        extra: Vec::new(),
+        extra_channels: 0,
+    }
+}
+
+/// The union of fields with plain colours, in order; `None` when one has spherical harmonics or extra channels differ.
+#[must_use]
+pub fn merge(fields: &[Gaussians]) -> Option<Gaussians> {
+    let mut out = Gaussians::empty();
+    let mut rgb = Vec::new();
+    for (index, field) in fields.iter().enumerate() {
+        let Colour::Rgb(own) = &field.colour else { return None };
+        if index > 0 && field.extra_channels != out.extra_channels {
+            return None;
+        }
+        rgb.extend_from_slice(own);
+        out.means.extend_from_slice(&field.means);
+        out.quats.extend_from_slice(&field.quats);
+        out.scales.extend_from_slice(&field.scales);
+        out.opacities.extend_from_slice(&field.opacities);
+        out.extra.extend_from_slice(&field.extra);
+        out.extra_channels = field.extra_channels;
+    }
+    out.colour = Colour::Rgb(rgb);
+    Some(out)
+}

@@ -1,0 +1,65 @@
+//! Fields of outside methods, evaluated natively: 4DGT's polynomial Gaussians and Shape of Motion's motion bases, and
+//! the calibrated merging of camera-wise fields in the robot base frame.
+//!
+//! Lengths are metres; a state at a time is a plain set of Gaussians that the same rasteriser renders.
+
+mod merge;
+mod motion_basis;
+mod polynomial;
+mod recentre;
+
+pub use merge::{merge, stereo_scale, transformed};
+pub use motion_basis::{MotionBasisField, MotionBasisParts};
+pub use polynomial::{PolynomialField, PolynomialState};
+pub use recentre::mean_frame;
+
+/// Why an outside field cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum OutsideError {
+    /// An array has the wrong length.
+    #[error("`{array}` has {found} values, expected {expected}")]
+    Length {
+        /// Name of the array.
+        array: &'static str,
+        /// Its length.
+        found: usize,
+        /// The length that the others imply.
+        expected: usize,
+    },
+    /// A frame that the field does not have.
+    #[error("the field has {frames} frames, frame {frame} was asked for")]
+    NoFrame {
+        /// What was asked for.
+        frame: usize,
+        /// How many there are.
+        frames: usize,
+    },
+}
+
+/// Fails unless an array has the expected length.
+fn expect(array: &'static str, found: usize, expected: usize) -> Result<(), OutsideError> {
+    if found == expected {
+        Ok(())
+    } else {
+        Err(OutsideError::Length { array, found, expected })
+    }
+}
+
+/// Hamilton product of quaternions (w, x, y, z).
+fn quaternion_product(a: [f32; 4], b: [f32; 4]) -> [f32; 4] {
+    [
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    ]
+}
+
+/// The unit quaternion (w, x, y, z) of a rotation matrix given by its columns, w not negative.
+fn quaternion_of(columns: [[f64; 3]; 3]) -> [f32; 4] {
+    let [x, y, z] = columns.map(glam::DVec3::from_array);
+    let q = glam::DQuat::from_mat3(&glam::DMat3::from_cols(x, y, z)).normalize();
+    let q = if q.w < 0.0 { -q } else { q };
+    [q.w as f32, q.x as f32, q.y as f32, q.z as f32]
+}

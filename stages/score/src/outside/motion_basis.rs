@@ -1,0 +1,172 @@
+//! Gaussians moved by shared rigid motions: the fields of Shape of Motion (`baseline-som.md` section 5).
+
+use rogs_splat::{Colour, Gaussians};
+
+use crate::outside::{OutsideError, expect, quaternion_of, quaternion_product};
+
+/// Raw parameters as the checkpoint has them.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct MotionBasisParts {
+    /// Bases.
+    pub bases: usize,
+    /// Frames.
+    pub frames: usize,
+    /// Rotations of the bases, two columns each. `[K, T, 6]`
+    pub rotations: Vec<f32>,
+    /// Translations of the bases, metres. `[K, T, 3]`
+    pub translations: Vec<f32>,
+    /// Logits of the foreground's mixture. `[G, K]`
+    pub coefficients: Vec<f32>,
+    /// Foreground, then background: canonical centres, metres. `[G + B, 3]`
+    pub means: Vec<f32>,
+    /// Canonical rotations (w, x, y, z), any length. `[G + B, 4]`
+    pub quats: Vec<f32>,
+    /// Logarithms of the standard deviations. `[G + B, 3]`
+    pub scales: Vec<f32>,
+    /// Logits of the opacities. `[G + B]`
+    pub opacities: Vec<f32>,
+    /// Logits of the colours. `[G + B, 3]`
+    pub colours: Vec<f32>,
+}
+
+/// A field with its mixture weights.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MotionBasisField {
+    parts: MotionBasisParts,
+    /// `[G, K]`
+    weights: Vec<f32>,
+}
+
+impl MotionBasisField {
+    /// Checks the arrays and computes the mixture weights.
+    ///
+    /// # Errors
+    /// When the arrays contradict each other.
+    pub fn new(parts: MotionBasisParts) -> Result<Self, OutsideError> {
+        let n = parts.opacities.len();
+        expect(
+            "rotations",
+            parts.rotations.len(),
+            parts.bases.saturating_mul(parts.frames).saturating_mul(6),
+        )?;
+        expect(
+            "translations",
+            parts.translations.len(),
+            parts.bases.saturating_mul(parts.frames).saturating_mul(3),
+        )?;
+        let foreground = parts.coefficients.len() / parts.bases.max(1);
+        expect(
+            "coefficients",
+            parts.coefficients.len(),
+            foreground.min(n) * parts.bases,
+        )?;
+        expect("means", parts.means.len(), 3 * n)?;
+        expect("quats", parts.quats.len(), 4 * n)?;
+        expect("scales", parts.scales.len(), 3 * n)?;
+        expect("colours", parts.colours.len(), 3 * n)?;
+        let mut weights = parts.coefficients.clone();
+        for row in weights.chunks_exact_mut(parts.bases.max(1)) {
+            let largest = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+            row.iter_mut().for_each(|value| *value = libm::expf(*value - largest));
+            let total: f32 = row.iter().sum();
+            row.iter_mut().for_each(|value| *value /= total);
+        }
+        Ok(Self { parts, weights })
+    }
+
+    /// Number of Gaussians, foreground and background.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.parts.opacities.len()
+    }
+
+    /// True when there is no Gaussian.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Number of foreground Gaussians; the others do not move.
+    #[must_use]
+    pub fn foreground(&self) -> usize {
+        if self.parts.bases == 0 {
+            0
+        } else {
+            self.weights.len() / self.parts.bases
+        }
+    }
+
+    /// All Gaussians at a frame, metres; foreground first.
+    ///
+    /// # Errors
+    /// When the field has no such frame.
+    pub fn at(&self, frame: usize) -> Result<Gaussians, OutsideError> {
+        let parts = &self.parts;
+        if frame >= parts.frames {
+            return Err(OutsideError::NoFrame {
+                frame,
+                frames: parts.frames,
+            });
+        }
+        let mut out = Gaussians::empty();
+        for index in 0..self.len() {
+            let mean: [f32; 3] = std::array::from_fn(|axis| parts.means[index * 3 + axis]);
+            let quat = normalised([0, 1, 2, 3].map(|part| parts.quats[index * 4 + part]));
+            if index < self.foreground() {
+                let (columns, translation) = self.motion(index, frame);
+                out.means.extend((0..3).map(|axis| {
+                    let turned: f64 = (0..3).map(|k| columns[k][axis] * f64::from(mean[k])).sum();
+                    (turned + translation[axis]) as f32
+                }));
+                out.quats
+                    .extend(normalised(quaternion_product(quaternion_of(columns), quat)));
+            } else {
+                out.means.extend(mean);
+                out.quats.extend(quat);
+            }
+        }
+        out.scales = parts.scales.iter().map(|&value| libm::expf(value)).collect();
+        out.opacities = parts.opacities.iter().map(|&value| sigmoid(value)).collect();
+        out.colour = Colour::Rgb(parts.colours.iter().map(|&value| sigmoid(value)).collect());
+        Ok(out)
+    }
+
+    /// Displacement of every Gaussian between two frames, metres. `[N, 3]`
+    ///
+    /// # Errors
+    /// When the field has no such frame.
+    pub fn displacement_m(&self, from: usize, to: usize) -> Result<Vec<f32>, OutsideError> {
+        let (from, to) = (self.at(from)?, self.at(to)?);
+        Ok(to.means.iter().zip(&from.means).map(|(to, from)| to - from).collect())
+    }
+
+    /// The rigid motion of a foreground Gaussian: rotation columns and translation. The six numbers are mixed before they
+    /// are made orthonormal.
+    fn motion(&self, index: usize, frame: usize) -> ([[f64; 3]; 3], [f64; 3]) {
+        let parts = &self.parts;
+        let weights = &self.weights[index * parts.bases..(index + 1) * parts.bases];
+        let mixed = |values: &[f32], width: usize, at: usize| -> f64 {
+            let of = |basis: usize| f64::from(values[(basis * parts.frames + frame) * width + at]);
+            weights
+                .iter()
+                .enumerate()
+                .map(|(basis, &weight)| f64::from(weight) * of(basis))
+                .sum()
+        };
+        let six: [f64; 6] = std::array::from_fn(|at| mixed(&parts.rotations, 6, at));
+        let x = glam::DVec3::new(six[0], six[1], six[2]).normalize_or_zero();
+        let second = glam::DVec3::new(six[3], six[4], six[5]);
+        let y = (second - x * second.dot(x)).normalize_or_zero();
+        let columns = [x, y, x.cross(y)].map(|column| column.to_array());
+        (columns, std::array::from_fn(|at| mixed(&parts.translations, 3, at)))
+    }
+}
+
+fn normalised(quat: [f32; 4]) -> [f32; 4] {
+    let length = quat.iter().map(|value| value * value).sum::<f32>().sqrt().max(1e-12);
+    quat.map(|value| value / length)
+}
+
+fn sigmoid(value: f32) -> f32 {
+    1.0 / (1.0 + libm::expf(-value))
+}
