@@ -15,12 +15,20 @@ use rogs_networks::stage1::{Attention, Camera, SourceFrames, Stage1, Stage1Confi
 use support::{close, host, tiny_config};
 
 fn source(name: &str, shape: &[usize], values: Vec<f32>) -> TensorSource<'static> {
-    TensorSource { name: name.to_owned(), shape: shape.to_vec(), values: Box::new(move || Ok(values)) }
+    TensorSource {
+        name: name.to_owned(),
+        shape: shape.to_vec(),
+        values: Box::new(move || Ok(values)),
+    }
 }
 
 fn frames(device: &Device) -> SourceFrames {
     let images: Vec<f32> = (0..2 * 3 * 28 * 42).map(|k| ((k * 31) % 97) as f32 / 97.0).collect();
-    let camera = Camera { rotation: [1., 0., 0., 0., 1., 0., 0., 0., 1.], translation_iu: [0.; 3], focal_centre: [0.7, 1.0, 0.5, 0.5] };
+    let camera = Camera {
+        rotation: [1., 0., 0., 0., 1., 0., 0., 0., 1.],
+        translation_iu: [0.; 3],
+        focal_centre: [0.7, 1.0, 0.5, 0.5],
+    };
     SourceFrames {
         images: rogs_networks::parameters::from_host(images, [2, 3, 28, 42], device),
         cameras: vec![camera; 2],
@@ -30,7 +38,10 @@ fn frames(device: &Device) -> SourceFrames {
 }
 
 fn taps(network: &Stage1) -> Vec<f32> {
-    host(Tensor::cat(network.encode(&frames(&Device::flex())).unwrap().taps.to_vec(), 0))
+    host(Tensor::cat(
+        network.encode(&frames(&Device::flex())).unwrap().taps.to_vec(),
+        0,
+    ))
 }
 
 #[test]
@@ -54,24 +65,39 @@ fn a_generated_checkpoint_opens_as_the_seeded_network() {
 fn import_maps_names_and_number_types() {
     let folder = tempfile::tempdir().unwrap();
     let config = tiny_config();
-    let (input, output) = (folder.path().join("model.safetensors"), folder.path().join("ours.safetensors"));
+    let (input, output) = (
+        folder.path().join("model.safetensors"),
+        folder.path().join("ours.safetensors"),
+    );
     let specs = layout::released(&config);
     for element in [ElementType::F32, ElementType::BF16, ElementType::F16] {
         let values = |spec: &layout::ParameterSpec| rogs_networks::stage1::seeded::values(spec, &config, 1);
-        let tensors = specs.iter().map(|spec| source(&format!("state_dict.module.{}", spec.name), &spec.shape, values(spec)));
+        let tensors = specs
+            .iter()
+            .map(|spec| source(&format!("state_dict.module.{}", spec.name), &spec.shape, values(spec)));
         write(&input, &BTreeMap::new(), element, tensors.collect()).unwrap();
         let request = request(&input, &output, &config);
         let report = import_stage1(&request).unwrap();
-        assert_eq!((report.origin, report.written, report.verification.is_clean()), (Origin::Released, specs.len(), true));
+        assert_eq!(
+            (report.origin, report.written, report.verification.is_clean()),
+            (Origin::Released, specs.len(), true)
+        );
         let loaded = open_stage1(&output, &Device::flex()).unwrap();
-        assert!(loaded.trained && loaded.provenance.contains("model.safetensors") && loaded.provenance.contains("a test"));
+        assert!(
+            loaded.trained && loaded.provenance.contains("model.safetensors") && loaded.provenance.contains("a test")
+        );
         let tolerance = match element {
             ElementType::F32 => 0.0,
             ElementType::F16 => 1e-3,
             ElementType::BF16 => 1e-2,
         };
         for spec in &specs {
-            close(&spec.name, &loaded.network.parameters.host(&spec.name).unwrap(), &values(spec), tolerance);
+            close(
+                &spec.name,
+                &loaded.network.parameters.host(&spec.name).unwrap(),
+                &values(spec),
+                tolerance,
+            );
         }
     }
 }
@@ -91,19 +117,37 @@ fn request(input: &Path, output: &Path, config: &Stage1Config) -> ImportRequest 
 fn import_names_what_is_missing_unexpected_or_misshapen_and_writes_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let config = tiny_config();
-    let (input, output) = (folder.path().join("model.safetensors"), folder.path().join("ours.safetensors"));
-    let mut tensors: Vec<_> = layout::released(&config).iter().map(|spec| source(&spec.name, &spec.shape, vec![0.0; spec.len()])).collect();
+    let (input, output) = (
+        folder.path().join("model.safetensors"),
+        folder.path().join("ours.safetensors"),
+    );
+    let mut tensors: Vec<_> = layout::released(&config)
+        .iter()
+        .map(|spec| source(&spec.name, &spec.shape, vec![0.0; spec.len()]))
+        .collect();
     tensors.retain(|tensor| tensor.name != "backbone.encoder.norm.weight");
     tensors.push(source("backbone.extra.weight", &[2], vec![0.0; 2]));
-    let norm = tensors.iter_mut().find(|tensor| tensor.name == "backbone.encoder.norm.bias").unwrap();
+    let norm = tensors
+        .iter_mut()
+        .find(|tensor| tensor.name == "backbone.encoder.norm.bias")
+        .unwrap();
     *norm = source("backbone.encoder.norm.bias", &[3], vec![0.0; 3]);
     write(&input, &BTreeMap::new(), ElementType::F32, tensors).unwrap();
-    let error = import_stage1(&request(&input, &output, &config)).unwrap_err().to_string();
-    for part in ["missing: backbone.encoder.norm.weight", "unexpected: backbone.extra.weight", "backbone.encoder.norm.bias is [3]"] {
+    let error = import_stage1(&request(&input, &output, &config))
+        .unwrap_err()
+        .to_string();
+    for part in [
+        "missing: backbone.encoder.norm.weight",
+        "unexpected: backbone.extra.weight",
+        "backbone.encoder.norm.bias is [3]",
+    ] {
         assert!(error.contains(part), "{error}");
     }
     assert!(!output.exists());
-    let unopened = open_stage1(&input, &Device::flex()).map(|_| ()).unwrap_err().to_string();
+    let unopened = open_stage1(&input, &Device::flex())
+        .map(|_| ())
+        .unwrap_err()
+        .to_string();
     assert!(unopened.contains("rogs weights import"), "{unopened}");
 }
 
@@ -111,7 +155,10 @@ fn import_names_what_is_missing_unexpected_or_misshapen_and_writes_nothing() {
 fn a_vggt_file_fills_what_it_has_and_the_rest_starts_fresh() {
     let folder = tempfile::tempdir().unwrap();
     let config = tiny_config();
-    let (input, output) = (folder.path().join("vggt.safetensors"), folder.path().join("ours.safetensors"));
+    let (input, output) = (
+        folder.path().join("vggt.safetensors"),
+        folder.path().join("ours.safetensors"),
+    );
     let theirs = |name: &str| -> Option<String> {
         let rest = name.strip_prefix("backbone.")?;
         if let Some(rest) = rest.strip_prefix("encoder.") {
@@ -121,8 +168,14 @@ fn a_vggt_file_fills_what_it_has_and_the_rest_starts_fresh() {
         if fresh.iter().any(|part| rest.starts_with(part)) {
             return None;
         }
-        let rules = [("backbone.", "aggregator."), ("depth_head.", "depth_head."), ("motion_head.", "point_head.")];
-        rules.iter().find_map(|(ours, theirs)| rest.strip_prefix(ours).map(|rest| format!("{theirs}{rest}")))
+        let rules = [
+            ("backbone.", "aggregator."),
+            ("depth_head.", "depth_head."),
+            ("motion_head.", "point_head."),
+        ];
+        rules
+            .iter()
+            .find_map(|(ours, theirs)| rest.strip_prefix(ours).map(|rest| format!("{theirs}{rest}")))
     };
     let specs = layout::released(&config);
     let mut tensors: Vec<_> = specs
@@ -132,45 +185,101 @@ fn a_vggt_file_fills_what_it_has_and_the_rest_starts_fresh() {
     tensors.push(source("camera_head.token", &[1], vec![0.0]));
     let own = tensors.len() - 1;
     write(&input, &BTreeMap::new(), ElementType::F32, tensors).unwrap();
-    assert!(import_stage1(&request(&input, &output, &config)).unwrap_err().to_string().contains("camera_head.token"));
-    let report = import_stage1(&ImportRequest { drop_unexpected: true, ..request(&input, &output, &config) }).unwrap();
+    assert!(
+        import_stage1(&request(&input, &output, &config))
+            .unwrap_err()
+            .to_string()
+            .contains("camera_head.token")
+    );
+    let report = import_stage1(&ImportRequest {
+        drop_unexpected: true,
+        ..request(&input, &output, &config)
+    })
+    .unwrap();
     assert_eq!((report.origin, report.fresh.len()), (Origin::Vggt, specs.len() - own));
     let loaded = open_stage1(&output, &Device::flex()).unwrap();
     assert!(!loaded.trained, "weights with fresh heads are not trained");
     let parameters = &loaded.network.parameters;
-    assert!(parameters.host("backbone.motion_head.norm.weight").unwrap().iter().all(|&value| value == 0.25));
-    assert!(parameters.host("backbone.splat_head.norm.weight").unwrap().iter().all(|&value| value == 1.0));
+    assert!(
+        parameters
+            .host("backbone.motion_head.norm.weight")
+            .unwrap()
+            .iter()
+            .all(|&value| value == 0.25)
+    );
+    assert!(
+        parameters
+            .host("backbone.splat_head.norm.weight")
+            .unwrap()
+            .iter()
+            .all(|&value| value == 1.0)
+    );
 }
 
 #[test]
 fn merging_low_rank_updates_keeps_the_outputs() {
     let folder = tempfile::tempdir().unwrap();
-    let (path, merged) = (folder.path().join("lora.safetensors"), folder.path().join("merged.safetensors"));
+    let (path, merged) = (
+        folder.path().join("lora.safetensors"),
+        folder.path().join("merged.safetensors"),
+    );
     let config = tiny_config();
-    let noise = |spec: &layout::ParameterSpec| (0..spec.len()).map(|k| ((k * 7919) % 101) as f32 / 101.0 - 0.5).collect();
+    let noise = |spec: &layout::ParameterSpec| {
+        (0..spec.len())
+            .map(|k| ((k * 7919) % 101) as f32 / 101.0 - 0.5)
+            .collect()
+    };
     let values = |spec: &layout::ParameterSpec| rogs_networks::stage1::seeded::values(spec, &config, 1);
-    let mut tensors: Vec<_> = layout::released(&config).iter().map(|spec| source(&spec.name, &spec.shape, values(spec))).collect();
-    tensors.extend(layout::lora(&config, 8).iter().map(|spec| source(&spec.name, &spec.shape, noise(spec))));
-    write(&path, &stage1_metadata(&config, true, "a test"), ElementType::F32, tensors).unwrap();
+    let mut tensors: Vec<_> = layout::released(&config)
+        .iter()
+        .map(|spec| source(&spec.name, &spec.shape, values(spec)))
+        .collect();
+    tensors.extend(
+        layout::lora(&config, 8)
+            .iter()
+            .map(|spec| source(&spec.name, &spec.shape, noise(spec))),
+    );
+    write(
+        &path,
+        &stage1_metadata(&config, true, "a test"),
+        ElementType::F32,
+        tensors,
+    )
+    .unwrap();
     merge_lora(&path, &merged, ElementType::F32).unwrap();
     let open = |path: &Path| open_stage1(path, &Device::flex()).unwrap().network;
     let plain = rogs_networks::stage1::seeded::network(&config, 1, &Device::flex()).unwrap();
     close("merged", &taps(&open(&merged)), &taps(&open(&path)), 1e-4);
-    assert!(support::worst(&taps(&plain), &taps(&open(&path))) > 1e-3, "the updates do something");
+    assert!(
+        support::worst(&taps(&plain), &taps(&open(&path))) > 1e-3,
+        "the updates do something"
+    );
 }
 
 #[test]
 fn damaged_files_are_refused_with_a_reason() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("file.safetensors");
-    write(&path, &BTreeMap::new(), ElementType::F32, vec![source("a", &[4], vec![1.0; 4])]).unwrap();
+    write(
+        &path,
+        &BTreeMap::new(),
+        ElementType::F32,
+        vec![source("a", &[4], vec![1.0; 4])],
+    )
+    .unwrap();
     let good = std::fs::read(&path).unwrap();
     let with_header = |json: &str| [&(json.len() as u64).to_le_bytes()[..], json.as_bytes(), &[0; 16]].concat();
     let mut cases: Vec<Vec<u8>> = (0..good.len()).map(|length| good[..length].to_vec()).collect();
     cases.push([&u64::MAX.to_le_bytes()[..], &good[8..]].concat());
-    cases.push(with_header(r#"{"a":{"dtype":"F32","shape":[4611686018427387904,4],"data_offsets":[0,16]}}"#));
-    cases.push(with_header(r#"{"a":{"dtype":"F32","shape":[4],"data_offsets":[8,24]}}"#));
-    cases.push(with_header(r#"{"a":{"dtype":"I64","shape":[2],"data_offsets":[0,16]}}"#));
+    cases.push(with_header(
+        r#"{"a":{"dtype":"F32","shape":[4611686018427387904,4],"data_offsets":[0,16]}}"#,
+    ));
+    cases.push(with_header(
+        r#"{"a":{"dtype":"F32","shape":[4],"data_offsets":[8,24]}}"#,
+    ));
+    cases.push(with_header(
+        r#"{"a":{"dtype":"I64","shape":[2],"data_offsets":[0,16]}}"#,
+    ));
     cases.push(with_header(r#"{"a":7}"#));
     cases.push(with_header("[]"));
     for bytes in cases {
@@ -182,7 +291,11 @@ fn damaged_files_are_refused_with_a_reason() {
     for name in ["file.bin", "none.safetensors", "none.pth"] {
         assert!(open_any(&folder.path().join(name)).is_err());
     }
-    std::fs::write(folder.path().join("bad.pth"), b"not a checkpoint at all, but long enough to look at").unwrap();
+    std::fs::write(
+        folder.path().join("bad.pth"),
+        b"not a checkpoint at all, but long enough to look at",
+    )
+    .unwrap();
     assert!(open_any(&folder.path().join("bad.pth")).is_err());
 }
 
@@ -190,10 +303,17 @@ fn damaged_files_are_refused_with_a_reason() {
 #[ignore = "long: writes and imports 4 GB and 2 GB of weights"]
 fn a_full_size_file_imports_and_verifies() {
     let folder = tempfile::tempdir().unwrap();
-    let (input, output) = (folder.path().join("full.safetensors"), folder.path().join("ours.safetensors"));
+    let (input, output) = (
+        folder.path().join("full.safetensors"),
+        folder.path().join("ours.safetensors"),
+    );
     let config = Stage1Config::full();
     generate_stage1(&input, &config, 1, ElementType::BF16, false).unwrap();
-    let report = import_stage1(&ImportRequest { element: ElementType::BF16, ..request(&input, &output, &config) }).unwrap();
+    let report = import_stage1(&ImportRequest {
+        element: ElementType::BF16,
+        ..request(&input, &output, &config)
+    })
+    .unwrap();
     assert_eq!((report.written, report.verification.matching), (1478, 1478));
     let file = TensorFile::open(&output).unwrap();
     assert_eq!(file.len(), 1_041_147_254);

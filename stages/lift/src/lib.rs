@@ -47,7 +47,11 @@ impl Stage for Lift {
     type Params = LiftParams;
 
     fn inputs() -> Vec<InputDescription> {
-        let input = |role: &str, kind: &str, required: bool| InputDescription { role: role.into(), required, kind: kind.into() };
+        let input = |role: &str, kind: &str, required: bool| InputDescription {
+            role: role.into(),
+            required,
+            kind: kind.into(),
+        };
         vec![
             input("clip", Clip::SCHEMA.name, true),
             input("robot", RobotMaps::SCHEMA.name, true),
@@ -59,12 +63,18 @@ impl Stage for Lift {
     fn load(params: &LiftParams, inputs: &BTreeMap<String, PathBuf>) -> StageResult<Self> {
         params.validate()?;
         let weights = inputs.get("weights").map(PathBuf::as_path);
-        Ok(Self { params: params.clone(), model: load_model(params, weights)? })
+        Ok(Self {
+            params: params.clone(),
+            model: load_model(params, weights)?,
+        })
     }
 
     fn run(&mut self, context: &mut Context<'_>) -> StageResult<()> {
         if !self.model.info.trained {
-            context.warn(format!("THE STAGE-1 WEIGHTS ARE NOT TRAINED ({}): depth, colour and motion of this field are not predictions", self.model.info.description));
+            context.warn(format!(
+                "THE STAGE-1 WEIGHTS ARE NOT TRAINED ({}): depth, colour and motion of this field are not predictions",
+                self.model.info.description
+            ));
         }
         let clip: Clip = context.read("clip")?;
         let robot: RobotMaps = context.read("robot")?;
@@ -74,7 +84,15 @@ impl Stage for Lift {
             context.progress(fraction, name);
             context.timed(name, |_| work());
         };
-        let field = lift_clip(&self.model, &self.params, &clip, &robot, &conditioning, &mut phase, &mut warnings)?;
+        let field = lift_clip(
+            &self.model,
+            &self.params,
+            &clip,
+            &robot,
+            &conditioning,
+            &mut phase,
+            &mut warnings,
+        )?;
         warnings.into_iter().for_each(|warning| context.warn(warning));
         context.timed("write", |context| context.write(&field))
     }
@@ -104,7 +122,9 @@ pub fn lift_clip(
     let (frames, images) = source.frames(params, network.parameters.device());
     let encoded = run.phase("encode", 0.0, || network.encode(&frames))?;
     drop(frames);
-    let base = run.phase("base heads", 0.3, || lift_base(network, &encoded, &images, &source, params))?;
+    let base = run.phase("base heads", 0.3, || {
+        lift_base(network, &encoded, &images, &source, params)
+    })?;
     drop(images);
     let heads = MotionHeads::load(network, source.views.len()).map_err(stage_error)?;
     if params.fk_conditioning && !heads.has_fk_branch() {
@@ -112,7 +132,11 @@ pub fn lift_clip(
     }
     let slices = lift_slices(&mut run, &heads, &encoded, &base, &source, params)?;
     let keep = params.keeps_query_state(&model.info.configuration);
-    let query_state = if keep { query::keep(&encoded).map_err(stage_error)? } else { Vec::new() };
+    let query_state = if keep {
+        query::keep(&encoded).map_err(stage_error)?
+    } else {
+        Vec::new()
+    };
     Ok(Field {
         clip_id: clip.clip_id.clone(),
         frame_count: clip.frame_count() as u32,
@@ -141,10 +165,24 @@ fn lift_slices(
     params: &LiftParams,
 ) -> StageResult<Vec<TimeSlice>> {
     // Kinematic transport of a field without anchoring follows the mask of the maps.
-    let masked = if params.anchoring { Vec::new() } else { robot_links(source) };
-    let anchor = Anchor { base_raw: &base.raw, link: if params.anchoring { &base.link } else { &masked } };
-    let options = MotionOptions { gates: params.gates(), robot_motion: params.robot_motion };
-    let branch = if params.fk_conditioning { Branch::Maps } else { Branch::Zeros };
+    let masked = if params.anchoring {
+        Vec::new()
+    } else {
+        robot_links(source)
+    };
+    let anchor = Anchor {
+        base_raw: &base.raw,
+        link: if params.anchoring { &base.link } else { &masked },
+    };
+    let options = MotionOptions {
+        gates: params.gates(),
+        robot_motion: params.robot_motion,
+    };
+    let branch = if params.fk_conditioning {
+        Branch::Maps
+    } else {
+        Branch::Zeros
+    };
     let needs_robot = params.fk_conditioning || params.robot_motion == RobotMotion::Kinematics;
     let (area, frames) = (source.area(), source.clip.field_frames());
     let mut slices = Vec::with_capacity(frames.len());
@@ -152,11 +190,17 @@ fn lift_slices(
         let mut robot = Vec::with_capacity(source.views.len());
         for view in 0..source.views.len() {
             let positions = (!params.anchoring).then(|| &base.position_m[view * area * 3..][..area * 3]);
-            robot.push(if needs_robot { Some(source.robot_at(view, frame, positions)?) } else { None });
+            robot.push(if needs_robot {
+                Some(source.robot_at(view, frame, positions)?)
+            } else {
+                None
+            });
         }
         let time = time_of_frame(frame, source.clip.frame_count());
         let fraction = 0.45 + 0.5 * done as f64 / frames.len() as f64;
-        slices.push(run.phase("motion heads", fraction, || heads.slice(encoded, &anchor, time, options, &robot, branch))?);
+        slices.push(run.phase("motion heads", fraction, || {
+            heads.slice(encoded, &anchor, time, options, &robot, branch)
+        })?);
     }
     Ok(slices)
 }
@@ -167,7 +211,12 @@ struct Phases<'p> {
 }
 
 impl Phases<'_> {
-    fn phase<T>(&mut self, name: &str, fraction: f64, work: impl FnOnce() -> rogs_networks::Result<T>) -> StageResult<T> {
+    fn phase<T>(
+        &mut self,
+        name: &str,
+        fraction: f64,
+        work: impl FnOnce() -> rogs_networks::Result<T>,
+    ) -> StageResult<T> {
         let (mut work, mut result) = (Some(work), None);
         (self.phase)(name, fraction, &mut || result = work.take().map(|work| work()));
         let skipped = || StageError::internal(format!("the phase `{name}` was not run"));
@@ -180,7 +229,11 @@ fn robot_links(source: &Source<'_>) -> Vec<u8> {
     let link = |map: &rogs_schemas::records::robot::RobotMap, pixel: usize| {
         source::mesh_depth_m(map, pixel).map_or(rogs_schemas::records::robot::NO_LINK, |_| map.link[pixel])
     };
-    source.views.iter().flat_map(|view| (0..source.area()).map(move |pixel| link(view.map, pixel))).collect()
+    source
+        .views
+        .iter()
+        .flat_map(|view| (0..source.area()).map(move |pixel| link(view.map, pixel)))
+        .collect()
 }
 
 /// A network error as a failure of the stage.

@@ -45,7 +45,10 @@ pub(crate) fn lift_base(
         }
         Ok((to_host(depth.narrow(1, 0, 1))?, to_host(raw)?))
     };
-    let maps: Vec<_> = (0..encoded.frames()).into_par_iter().map(frame).collect::<rogs_networks::Result<_>>()?;
+    let maps: Vec<_> = (0..encoded.frames())
+        .into_par_iter()
+        .map(frame)
+        .collect::<rogs_networks::Result<_>>()?;
 
     let (area, width) = (source.area(), source.clip.width as usize);
     let count = maps.len() * area;
@@ -60,7 +63,11 @@ pub(crate) fn lift_base(
         let mut selected = Vec::with_capacity(area);
         let focal = view.intrinsics.fx.min(view.intrinsics.fy) as f32;
         for pixel in 0..area {
-            let mesh = if params.anchoring { mesh_depth_m(view.map, pixel) } else { None };
+            let mesh = if params.anchoring {
+                mesh_depth_m(view.map, pixel)
+            } else {
+                None
+            };
             let depth = decode::select_depth_iu(mesh, decode::depth_iu(depth[pixel]));
             selected.push(depth);
             if mesh.is_some() {
@@ -122,7 +129,12 @@ impl MotionHeads {
     pub(crate) fn load(network: &Stage1, views: usize) -> rogs_networks::Result<Self> {
         let shortcuts = (0..views).map(|_| OnceLock::new()).collect();
         let (motion, attributes) = (network.head(HeadKind::Motion)?, network.head(HeadKind::MotionSplat)?);
-        Ok(Self { motion, attributes, fk: network.fk_branch()?, shortcuts })
+        Ok(Self {
+            motion,
+            attributes,
+            fk: network.fk_branch()?,
+            shortcuts,
+        })
     }
 
     /// Whether the weights have an FK-conditioning branch.
@@ -146,7 +158,10 @@ impl MotionHeads {
         let area = height * width;
         let view = |index: usize| -> rogs_networks::Result<ViewSlice> {
             let one = encoded.frames_at(index, 1);
-            let visual = self.motion.forward(&motion, &one.taps, one.grid, one.size).narrow(1, 0, 3);
+            let visual = self
+                .motion
+                .forward(&motion, &one.taps, one.grid, one.size)
+                .narrow(1, 0, 3);
             let device = visual.device();
             let total = match &self.fk {
                 Some(fk) => {
@@ -159,7 +174,9 @@ impl MotionHeads {
             let mut displacement_iu = to_host(total)?;
             let links = &anchor.link[index * area..][..area];
             let base = &anchor.base_raw[index * area * RAW_CHANNELS..][..area * RAW_CHANNELS];
-            let transport = (options.robot_motion == RobotMotion::Kinematics).then_some(robot[index].as_ref()).flatten();
+            let transport = (options.robot_motion == RobotMotion::Kinematics)
+                .then_some(robot[index].as_ref())
+                .flatten();
             if let Some(robot) = transport {
                 move_with_links(&mut displacement_iu, robot, links, area);
             }
@@ -167,13 +184,18 @@ impl MotionHeads {
             let carried = |pixel: usize| transport.and_then(|robot| robot.link_rotation.get(usize::from(links[pixel])));
             let mut gate: Vec<u8> = (0..area).map(|pixel| options.gates.bits(at(pixel))).collect();
             let asked = (0..area).any(|pixel| gate[pixel] != 0 && carried(pixel).is_none());
-            let timed = if asked { Some(self.timed_attributes(index, &one, &attributes, base)?) } else { None };
+            let timed = if asked {
+                Some(self.timed_attributes(index, &one, &attributes, base)?)
+            } else {
+                None
+            };
             let mut moving_raw = Vec::new();
             for pixel in 0..area {
                 if let Some(rotation) = carried(pixel) {
                     // Kinematic transport keeps colour, scale and opacity and turns the covariance with the link.
                     gate[pixel] = GATE_ATTRIBUTES;
-                    let mut raw: [f32; RAW_CHANNELS] = std::array::from_fn(|channel| base[pixel * RAW_CHANNELS + channel]);
+                    let mut raw: [f32; RAW_CHANNELS] =
+                        std::array::from_fn(|channel| base[pixel * RAW_CHANNELS + channel]);
                     let turned = quaternion_product(*rotation, [raw[6], raw[7], raw[8], raw[9]]);
                     raw[6..10].copy_from_slice(&turned);
                     moving_raw.extend(raw);
@@ -182,10 +204,22 @@ impl MotionHeads {
                 }
             }
             let displacement_m = (0..area).flat_map(at).map(m_from_iu).collect();
-            Ok(ViewSlice { displacement_m, gate, moving_raw })
+            Ok(ViewSlice {
+                displacement_m,
+                gate,
+                moving_raw,
+            })
         };
-        let views: Vec<ViewSlice> = (0..encoded.frames()).into_par_iter().map(view).collect::<rogs_networks::Result<_>>()?;
-        let mut slice = TimeSlice { time, displacement_m: Vec::new(), gate: Vec::new(), moving_raw: Vec::new() };
+        let views: Vec<ViewSlice> = (0..encoded.frames())
+            .into_par_iter()
+            .map(view)
+            .collect::<rogs_networks::Result<_>>()?;
+        let mut slice = TimeSlice {
+            time,
+            displacement_m: Vec::new(),
+            gate: Vec::new(),
+            moving_raw: Vec::new(),
+        };
         slice.displacement_m.reserve_exact(3 * area * views.len());
         for view in views {
             slice.displacement_m.extend(view.displacement_m);
@@ -207,7 +241,8 @@ impl MotionHeads {
         let area = height * width;
         let mut raw = self.attributes.forward(projections, &one.taps, one.grid, one.size);
         let shortcut = self.shortcuts[index].get_or_init(|| {
-            let planar = (0..RAW_CHANNELS).flat_map(|channel| (0..area).map(move |pixel| base[pixel * RAW_CHANNELS + channel]));
+            let planar =
+                (0..RAW_CHANNELS).flat_map(|channel| (0..area).map(move |pixel| base[pixel * RAW_CHANNELS + channel]));
             let input = from_host(planar.collect(), [1, RAW_CHANNELS, height, width], &raw.device());
             self.attributes.shortcut(input).unwrap_or_else(|| raw.zeros_like())
         });

@@ -25,11 +25,15 @@ pub struct Model {
 /// When the file cannot be read or is no Stage-1 checkpoint, or the configuration is not known.
 pub fn load_model(params: &LiftParams, weights: Option<&Path>) -> StageResult<Model> {
     let device = Device::flex();
-    let Some(path) = weights else { return generated(params, &device) };
+    let Some(path) = weights else {
+        return generated(params, &device);
+    };
     let loaded = checkpoint::open_stage1(path, &device).map_err(stage_error)?;
     let mut hasher = blake3::Hasher::new();
     let io = |error: std::io::Error| StageError::io(format!("{}: {error}", path.display()));
-    hasher.update_reader(std::fs::File::open(path).map_err(io)?).map_err(io)?;
+    hasher
+        .update_reader(std::fs::File::open(path).map_err(io)?)
+        .map_err(io)?;
     let file = path.file_name().unwrap_or_default().to_string_lossy();
     let info = WeightsInfo {
         trained: loaded.trained,
@@ -37,7 +41,10 @@ pub fn load_model(params: &LiftParams, weights: Option<&Path>) -> StageResult<Mo
         description: format!("{file}: {}", loaded.provenance),
         hash: hasher.finalize().to_hex().to_string(),
     };
-    Ok(Model { network: loaded.network, info })
+    Ok(Model {
+        network: loaded.network,
+        info,
+    })
 }
 
 fn generated(params: &LiftParams, device: &Device) -> StageResult<Model> {

@@ -95,16 +95,27 @@ impl LiftParams {
     pub fn validate(&self) -> StageResult<()> {
         let threshold = |value: f32| value.is_finite() && value >= 0.0;
         if !threshold(self.motion_gate_iu) || !threshold(self.opacity_gate_iu) {
-            return Err(StageError::bad_params("`motion_gate_iu` and `opacity_gate_iu` must be 0 or more"));
+            return Err(StageError::bad_params(
+                "`motion_gate_iu` and `opacity_gate_iu` must be 0 or more",
+            ));
         }
-        if self.footprint_px.is_some_and(|pixels| !(pixels.is_finite() && pixels > 0.0)) {
+        if self
+            .footprint_px
+            .is_some_and(|pixels| !(pixels.is_finite() && pixels > 0.0))
+        {
             return Err(StageError::bad_params("`footprint_px` must be more than 0, or null"));
         }
         if !(1..=64).contains(&self.rgb_downsample) {
             return Err(StageError::bad_params("`rgb_downsample` must be from 1 to 64"));
         }
-        if self.source_frames.as_ref().is_some_and(|frames| frames.is_empty() || frames.windows(2).any(|pair| pair[0] >= pair[1])) {
-            return Err(StageError::bad_params("`source_frames` must name at least one frame, in ascending order"));
+        if self
+            .source_frames
+            .as_ref()
+            .is_some_and(|frames| frames.is_empty() || frames.windows(2).any(|pair| pair[0] >= pair[1]))
+        {
+            return Err(StageError::bad_params(
+                "`source_frames` must name at least one frame, in ascending order",
+            ));
         }
         Ok(())
     }
@@ -112,7 +123,10 @@ impl LiftParams {
     /// The motion gates.
     #[must_use]
     pub fn gates(&self) -> MotionGates {
-        MotionGates { attributes_iu: self.motion_gate_iu, opacity_iu: self.opacity_gate_iu }
+        MotionGates {
+            attributes_iu: self.motion_gate_iu,
+            opacity_iu: self.opacity_gate_iu,
+        }
     }
 
     /// Whether fields of this configuration keep their query state.

@@ -11,10 +11,18 @@ pub(crate) fn degrade(plane: &[f32], height: usize, width: usize, factor: usize)
     let (rows, columns) = (height.div_ceil(factor), width.div_ceil(factor));
     let (row_cells, column_cells) = (area_taps(height, rows), area_taps(width, columns));
     let narrow = apply(plane, height, width, &column_cells);
-    let small = transpose(&apply(&transpose(&narrow, height, columns), columns, height, &row_cells), columns, rows);
+    let small = transpose(
+        &apply(&transpose(&narrow, height, columns), columns, height, &row_cells),
+        columns,
+        rows,
+    );
     let (row_taps, column_taps) = (linear_taps(rows, height), linear_taps(columns, width));
     let wide = apply(&small, rows, columns, &column_taps);
-    transpose(&apply(&transpose(&wide, rows, width), width, rows, &row_taps), width, height)
+    transpose(
+        &apply(&transpose(&wide, rows, width), width, rows, &row_taps),
+        width,
+        height,
+    )
 }
 
 /// First input and weights of each output.
@@ -39,7 +47,11 @@ fn linear_taps(inputs: usize, outputs: usize) -> Taps {
         let place = ((index as f64 + 0.5) * inputs as f64 / outputs as f64 - 0.5).clamp(0.0, (inputs - 1) as f64);
         let first = (place.floor() as usize).min(inputs.saturating_sub(2));
         let share = (place - first as f64) as f32;
-        if inputs == 1 { (0, vec![1.0]) } else { (first, vec![1.0 - share, share]) }
+        if inputs == 1 {
+            (0, vec![1.0])
+        } else {
+            (first, vec![1.0 - share, share])
+        }
     };
     (0..outputs).map(taps).collect()
 }
@@ -48,14 +60,19 @@ fn linear_taps(inputs: usize, outputs: usize) -> Taps {
 fn apply(plane: &[f32], rows: usize, columns: usize, taps: &Taps) -> Vec<f32> {
     let mut out = Vec::with_capacity(rows * taps.len());
     for row in plane.chunks_exact(columns) {
-        out.extend(taps.iter().map(|(first, weights)| weights.iter().zip(&row[*first..]).map(|(w, v)| w * v).sum::<f32>()));
+        out.extend(
+            taps.iter()
+                .map(|(first, weights)| weights.iter().zip(&row[*first..]).map(|(w, v)| w * v).sum::<f32>()),
+        );
     }
     out
 }
 
 /// `[rows, columns] -> [columns, rows]`
 fn transpose(plane: &[f32], rows: usize, columns: usize) -> Vec<f32> {
-    (0..columns).flat_map(|column| (0..rows).map(move |row| plane[row * columns + column])).collect()
+    (0..columns)
+        .flat_map(|column| (0..rows).map(move |row| plane[row * columns + column]))
+        .collect()
 }
 
 #[cfg(test)]

@@ -45,21 +45,39 @@ pub struct RobotAtTime {
 
 impl<'a> Source<'a> {
     /// Gathers the source views of a clip.
-    pub(crate) fn new(clip: &'a Clip, robot: &'a RobotMaps, conditioning: &'a Conditioning, params: &LiftParams) -> StageResult<Self> {
+    pub(crate) fn new(
+        clip: &'a Clip,
+        robot: &'a RobotMaps,
+        conditioning: &'a Conditioning,
+        params: &LiftParams,
+    ) -> StageResult<Self> {
         for (what, id) in [("robot maps", &robot.clip_id), ("conditioning", &conditioning.clip_id)] {
             if *id != clip.clip_id {
-                return Err(StageError::bad_input(format!("the {what} are those of clip `{id}`, not of `{}`", clip.clip_id)));
+                return Err(StageError::bad_input(format!(
+                    "the {what} are those of clip `{id}`, not of `{}`",
+                    clip.clip_id
+                )));
             }
         }
         let sizes = [(robot.height, robot.width), (conditioning.height, conditioning.width)];
         if sizes.iter().any(|&size| size != (clip.height, clip.width)) {
             let (height, width) = (clip.height, clip.width);
-            return Err(StageError::bad_input(format!("robot maps or conditioning are not {height}x{width} as the clip is")));
+            return Err(StageError::bad_input(format!(
+                "robot maps or conditioning are not {height}x{width} as the clip is"
+            )));
         }
         let recon_from_base = pose::<Recon, Base>(&robot.recon_from_base)?;
         let chosen = chosen_views(clip, params)?;
-        let views = chosen.into_iter().map(|view| gather(clip, robot, conditioning, &recon_from_base, view)).collect::<StageResult<_>>()?;
-        Ok(Self { clip, robot, conditioning, views })
+        let views = chosen
+            .into_iter()
+            .map(|view| gather(clip, robot, conditioning, &recon_from_base, view))
+            .collect::<StageResult<_>>()?;
+        Ok(Self {
+            clip,
+            robot,
+            conditioning,
+            views,
+        })
     }
 
     /// Pixels of one image.
@@ -77,19 +95,27 @@ impl<'a> Source<'a> {
                 1 => images.extend(planes),
                 factor => {
                     let degraded = |plane| rgb::degrade(plane, height, width, factor as usize);
-                    planes.chunks_exact(self.area()).for_each(|plane| images.extend(degraded(plane)));
+                    planes
+                        .chunks_exact(self.area())
+                        .for_each(|plane| images.extend(degraded(plane)));
                 }
             }
         }
         let images = from_host(images, [self.views.len(), 3, height, width], device);
         let attention = match params.attention {
             CrossCamera::Joint => Attention::Joint,
-            CrossCamera::WithinCamera => Attention::WithinCamera(self.views.iter().map(|view| view.view.camera).collect()),
+            CrossCamera::WithinCamera => {
+                Attention::WithinCamera(self.views.iter().map(|view| view.view.camera).collect())
+            }
         };
         let frames = SourceFrames {
             images: images.clone(),
             cameras: self.views.iter().map(|view| view.camera).collect(),
-            times: self.views.iter().map(|view| time_of_frame(view.view.frame, self.clip.frame_count()) as f32).collect(),
+            times: self
+                .views
+                .iter()
+                .map(|view| time_of_frame(view.view.frame, self.clip.frame_count()) as f32)
+                .collect(),
             attention,
         };
         (frames, images)
@@ -101,15 +127,25 @@ impl<'a> Source<'a> {
         let view = &self.views[index];
         let motions = self.link_motions(view.view.frame, frame)?;
         let area = self.area();
-        let query = self.conditioning.query_frames.iter().position(|&stored| stored == frame).ok_or_else(|| {
-            StageError::bad_input(format!("the conditioning has no maps for frame {frame}; it stores {:?}", self.conditioning.query_frames))
-        })?;
+        let query = self
+            .conditioning
+            .query_frames
+            .iter()
+            .position(|&stored| stored == frame)
+            .ok_or_else(|| {
+                StageError::bad_input(format!(
+                    "the conditioning has no maps for frame {frame}; it stores {:?}",
+                    self.conditioning.query_frames
+                ))
+            })?;
         let mut kappa = self.conditioning.dense(view.conditioning, query);
         debug_assert_eq!(kappa.len(), KAPPA_CHANNELS * area);
         if let Some(positions) = position_m {
             let maps = &self.conditioning.view_maps[view.conditioning];
             for (&pixel, &link) in maps.pixels.iter().zip(&maps.link) {
-                let Some(motion) = motions.get(usize::from(link)) else { continue };
+                let Some(motion) = motions.get(usize::from(link)) else {
+                    continue;
+                };
                 let pixel = pixel as usize;
                 let point = DVec3::from_array(std::array::from_fn(|axis| f64::from(positions[3 * pixel + axis])));
                 let moved = motion.point(point) - point;
@@ -119,7 +155,10 @@ impl<'a> Source<'a> {
             }
         }
         let wxyz = |q: DQuat| [q.w as f32, q.x as f32, q.y as f32, q.z as f32];
-        Ok(RobotAtTime { kappa, link_rotation: motions.iter().map(|motion| wxyz(motion.quaternion())).collect() })
+        Ok(RobotAtTime {
+            kappa,
+            link_rotation: motions.iter().map(|motion| wxyz(motion.quaternion())).collect(),
+        })
     }
 
     /// T(t) T(s)^-1 of every link in the reconstruction frame, metres.
@@ -129,10 +168,13 @@ impl<'a> Source<'a> {
         let at = |frame: u32, link: usize| -> StageResult<Pose<Recon, Link>> {
             let index = frame as usize * links + link;
             let stored = self.robot.base_from_link.get(index);
-            let stored = stored.ok_or_else(|| StageError::bad_input(format!("the robot maps have no link poses for frame {frame}")))?;
+            let stored = stored
+                .ok_or_else(|| StageError::bad_input(format!("the robot maps have no link poses for frame {frame}")))?;
             Ok(recon_from_base * pose::<Base, Link>(stored)?)
         };
-        (0..links).map(|link| Ok(at(query, link)? * at(source, link)?.inverse())).collect()
+        (0..links)
+            .map(|link| Ok(at(query, link)? * at(source, link)?.inverse()))
+            .collect()
     }
 }
 
@@ -142,9 +184,16 @@ fn chosen_views(clip: &Clip, params: &LiftParams) -> StageResult<Vec<SourceView>
         && let Some(unknown) = frames.iter().find(|frame| !clip.source_frames.contains(frame))
     {
         let known = &clip.source_frames;
-        return Err(StageError::bad_params(format!("`source_frames` names frame {unknown}, the clip's source frames are {known:?}")));
+        return Err(StageError::bad_params(format!(
+            "`source_frames` names frame {unknown}, the clip's source frames are {known:?}"
+        )));
     }
-    let wanted = |view: &SourceView| params.source_frames.as_ref().is_none_or(|frames| frames.contains(&view.frame));
+    let wanted = |view: &SourceView| {
+        params
+            .source_frames
+            .as_ref()
+            .is_none_or(|frames| frames.contains(&view.frame))
+    };
     let views: Vec<SourceView> = clip.source_views().into_iter().filter(wanted).collect();
     if views.is_empty() {
         return Err(StageError::bad_input("the clip has no source views"));
@@ -161,24 +210,58 @@ fn gather<'a>(
     view: SourceView,
 ) -> StageResult<View<'a>> {
     let (camera, frame) = (&clip.cameras[view.camera as usize], view.frame as usize);
-    let missing = |what: &str| StageError::bad_input(format!("there is no {what} for camera `{}` at frame {frame}", camera.id));
+    let missing = |what: &str| {
+        StageError::bad_input(format!(
+            "there is no {what} for camera `{}` at frame {frame}",
+            camera.id
+        ))
+    };
     let area = clip.height as usize * clip.width as usize;
-    let rgb = camera.rgb.as_ref().and_then(|rgb| rgb.get(frame * area * 3..(frame + 1) * area * 3)).ok_or_else(|| missing("source image"))?;
-    let stored = robot.base_from_camera.get(view.camera as usize * clip.frame_count() + frame).ok_or_else(|| missing("camera pose"))?;
+    let rgb = camera
+        .rgb
+        .as_ref()
+        .and_then(|rgb| rgb.get(frame * area * 3..(frame + 1) * area * 3))
+        .ok_or_else(|| missing("source image"))?;
+    let stored = robot
+        .base_from_camera
+        .get(view.camera as usize * clip.frame_count() + frame)
+        .ok_or_else(|| missing("camera pose"))?;
     let recon_from_camera = *recon_from_base * pose::<Base, CameraFrame>(stored)?;
     let same = |map: &&RobotMap| map.camera == view.camera && map.frame == view.frame;
     let map = robot.maps.iter().find(same).ok_or_else(|| missing("robot map"))?;
-    let conditioning = conditioning.views.iter().position(|other| *other == view).ok_or_else(|| missing("conditioning"))?;
+    let conditioning = conditioning
+        .views
+        .iter()
+        .position(|other| *other == view)
+        .ok_or_else(|| missing("conditioning"))?;
     let (width, height, intrinsics) = (f64::from(clip.width), f64::from(clip.height), camera.intrinsics);
-    let focal_centre = [intrinsics.fx / width, intrinsics.fy / height, intrinsics.cx / width, intrinsics.cy / height];
+    let focal_centre = [
+        intrinsics.fx / width,
+        intrinsics.fy / height,
+        intrinsics.cx / width,
+        intrinsics.cy / height,
+    ];
     let matrix = recon_from_camera.to_rigid();
     let translation_iu = matrix.translation.map(|metres| metres * UNITS_PER_METRE);
-    let network_camera = Camera { rotation: matrix.rotation, translation_iu, focal_centre };
-    Ok(View { view, conditioning, map, camera: network_camera, intrinsics, rgb })
+    let network_camera = Camera {
+        rotation: matrix.rotation,
+        translation_iu,
+        focal_centre,
+    };
+    Ok(View {
+        view,
+        conditioning,
+        map,
+        camera: network_camera,
+        intrinsics,
+        rgb,
+    })
 }
 
 /// A stored pose with its frames.
-fn pose<A: rogs_geometry::transform::Frame, B: rogs_geometry::transform::Frame>(stored: &rogs_schemas::RigidPose) -> StageResult<Pose<A, B>> {
+fn pose<A: rogs_geometry::transform::Frame, B: rogs_geometry::transform::Frame>(
+    stored: &rogs_schemas::RigidPose,
+) -> StageResult<Pose<A, B>> {
     Pose::from_rigid(stored).map_err(|error| StageError::bad_input(error.to_string()))
 }
 

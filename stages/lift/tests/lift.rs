@@ -21,20 +21,36 @@ struct Inputs {
 }
 
 fn robot_pixels() -> Vec<u32> {
-    (0..AREA as u32).filter(|pixel| (10..18).contains(&(pixel / WIDTH as u32)) && (15..25).contains(&(pixel % WIDTH as u32))).collect()
+    (0..AREA as u32)
+        .filter(|pixel| (10..18).contains(&(pixel / WIDTH as u32)) && (15..25).contains(&(pixel % WIDTH as u32)))
+        .collect()
 }
 
 /// Two cameras, source frames 0 and 4; link 1 moves 2 cm along base x and turns per frame.
 fn inputs() -> Inputs {
-    let intrinsics = Intrinsics { fx: 30.0, fy: 30.0, cx: 21.0, cy: 14.0 };
-    let camera_pose = |camera: usize| RigidPose { translation: [0.3 * camera as f64, 0.0, 0.0], ..RigidPose::IDENTITY };
-    let rgb = |camera: usize| (0..FRAMES * AREA * 3).map(|k| ((k * 31 + camera * 97) % 251) as u8).collect();
+    let intrinsics = Intrinsics {
+        fx: 30.0,
+        fy: 30.0,
+        cx: 21.0,
+        cy: 14.0,
+    };
+    let camera_pose = |camera: usize| RigidPose {
+        translation: [0.3 * camera as f64, 0.0, 0.0],
+        ..RigidPose::IDENTITY
+    };
+    let rgb = |camera: usize| {
+        (0..FRAMES * AREA * 3)
+            .map(|k| ((k * 31 + camera * 97) % 251) as u8)
+            .collect()
+    };
     let cameras = (0..2).map(|index| ClipCamera {
         id: ["wrist", "ext1"][index].into(),
         role: CameraRole::Source,
         partner: None,
         intrinsics,
-        mount: CameraMount::Fixed { base_from_camera: camera_pose(index) },
+        mount: CameraMount::Fixed {
+            base_from_camera: camera_pose(index),
+        },
         rgb: Some(rgb(index)),
         depth: None,
     });
@@ -52,15 +68,28 @@ fn inputs() -> Inputs {
         height: HEIGHT as u32,
         width: WIDTH as u32,
         cameras: cameras.collect(),
-        robot: RobotStates { joint_names: vec![], positions: vec![], gripper: vec![0.0; FRAMES] },
+        robot: RobotStates {
+            joint_names: vec![],
+            positions: vec![],
+            gripper: vec![0.0; FRAMES],
+        },
         tracks: None,
     };
     let link_pose = |frame: usize| {
         let (s, c) = (0.1 * frame as f64).sin_cos();
-        RigidPose { rotation: [c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0], translation: [0.02 * frame as f64, 0.0, 0.0] }
+        RigidPose {
+            rotation: [c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0],
+            translation: [0.02 * frame as f64, 0.0, 0.0],
+        }
     };
     let map = |camera: u32, frame: u32| {
-        let mut map = RobotMap { camera, frame, depth_m: vec![0.0; AREA], link: vec![NO_LINK; AREA], support: vec![0; AREA] };
+        let mut map = RobotMap {
+            camera,
+            frame,
+            depth_m: vec![0.0; AREA],
+            link: vec![NO_LINK; AREA],
+            support: vec![0; AREA],
+        };
         for pixel in robot_pixels() {
             map.depth_m[pixel as usize] = MESH_DEPTH_M;
             map.link[pixel as usize] = 1;
@@ -71,13 +100,19 @@ fn inputs() -> Inputs {
     let robot = RobotMaps {
         clip_id: "clip".into(),
         link_names: vec!["base".into(), "arm".into()],
-        base_from_link: (0..FRAMES).flat_map(|frame| [RigidPose::IDENTITY, link_pose(frame)]).collect(),
-        base_from_camera: (0..2).flat_map(|camera| (0..FRAMES).map(move |_| camera_pose(camera))).collect(),
+        base_from_link: (0..FRAMES)
+            .flat_map(|frame| [RigidPose::IDENTITY, link_pose(frame)])
+            .collect(),
+        base_from_camera: (0..2)
+            .flat_map(|camera| (0..FRAMES).map(move |_| camera_pose(camera)))
+            .collect(),
         recon_from_base: RigidPose::IDENTITY,
         tool_m: vec![0.0; 3 * FRAMES],
         height: HEIGHT as u32,
         width: WIDTH as u32,
-        maps: (0..2).flat_map(|camera| (0..FRAMES as u32).map(move |frame| map(camera, frame))).collect(),
+        maps: (0..2)
+            .flat_map(|camera| (0..FRAMES as u32).map(move |frame| map(camera, frame)))
+            .collect(),
     };
     let views = clip.source_views();
     let query_frames = clip.field_frames();
@@ -91,7 +126,12 @@ fn inputs() -> Inputs {
             .flat_map(|&frame| (0..count).flat_map(move |_| [0.07 * (frame as f32 - view.frame as f32), 0.01, 0.0]))
             .collect(),
         available: vec![1; query_frames.len()],
-        prior: GripperPrior { centre_px: [20.0, 14.0], depth_m: 0.8, focal_px: [30.0, 30.0], sigma_m: 0.1 },
+        prior: GripperPrior {
+            centre_px: [20.0, 14.0],
+            depth_m: 0.8,
+            focal_px: [30.0, 30.0],
+            sigma_m: 0.1,
+        },
     });
     let conditioning = Conditioning {
         clip_id: "clip".into(),
@@ -101,7 +141,11 @@ fn inputs() -> Inputs {
         views,
         query_frames,
     };
-    Inputs { clip, robot, conditioning }
+    Inputs {
+        clip,
+        robot,
+        conditioning,
+    }
 }
 
 fn model(params: &LiftParams) -> Model {
@@ -111,20 +155,38 @@ fn model(params: &LiftParams) -> Model {
 /// A model whose motion and FK branch are not zero, as after some training.
 fn moving_model() -> Model {
     let model = model(&LiftParams::default());
-    let names = ["backbone.motion_head.scratch.output_conv2.2.weight", "fk_branch.conv3.weight"];
+    let names = [
+        "backbone.motion_head.time_embed.weight",
+        "backbone.motion_head.scratch.output_conv2.2.weight",
+        "fk_branch.conv3.weight",
+    ];
     let mut network = model.network;
     for name in names {
         let shape = network.parameters.shape(name).unwrap().to_vec();
         let count: usize = shape.iter().product();
-        let values = (0..count).map(|k| (((k * 7919) % 113) as f32 / 113.0 - 0.5) * 0.02).collect();
+        let values = (0..count)
+            .map(|k| (((k * 7919) % 113) as f32 / 113.0 - 0.5) * 0.02)
+            .collect();
         network.parameters.insert(name, &shape, values).unwrap();
     }
-    Model { network, info: model.info }
+    Model {
+        network,
+        info: model.info,
+    }
 }
 
 fn lift_with(model: &Model, params: &LiftParams, inputs: &Inputs) -> Field {
     let run = &mut |_: &str, _: f64, work: rogs_lift::Work<'_>| work();
-    lift_clip(model, params, &inputs.clip, &inputs.robot, &inputs.conditioning, run, &mut Vec::new()).unwrap()
+    lift_clip(
+        model,
+        params,
+        &inputs.clip,
+        &inputs.robot,
+        &inputs.conditioning,
+        run,
+        &mut Vec::new(),
+    )
+    .unwrap()
 }
 
 #[test]
@@ -134,11 +196,22 @@ fn a_seeded_field_is_a_plausible_still_picture() {
     let field = lift_with(&model(&params), &params, &inputs);
     assert_eq!(field.len(), 4 * AREA);
     assert!(!field.weights.trained && field.weights.description.contains("seed 73"));
-    assert_eq!(field.slices.iter().map(|slice| slice.time).collect::<Vec<_>>(), [0.0, 0.25, 1.0]);
-    assert!(field.slices.iter().all(|slice| slice.displacement_m.iter().all(|&d| d == 0.0) && slice.moving_raw.is_empty()));
+    assert_eq!(
+        field.slices.iter().map(|slice| slice.time).collect::<Vec<_>>(),
+        [0.0, 0.25, 1.0]
+    );
+    assert!(
+        field
+            .slices
+            .iter()
+            .all(|slice| slice.displacement_m.iter().all(|&d| d == 0.0) && slice.moving_raw.is_empty())
+    );
     let rgb = inputs.clip.cameras[0].rgb.as_ref().unwrap();
     for pixel in 0..AREA {
-        let (z, raw) = (field.position_m[3 * pixel + 2], &field.base_raw[RAW_CHANNELS * pixel..][..RAW_CHANNELS]);
+        let (z, raw) = (
+            field.position_m[3 * pixel + 2],
+            &field.base_raw[RAW_CHANNELS * pixel..][..RAW_CHANNELS],
+        );
         if field.support[pixel] != 0 {
             assert!((z - MESH_DEPTH_M).abs() < 1e-6, "anchored pixels lie on the mesh");
             assert!((field.scale_cap_iu[pixel] - 1.5 * 3.5 * MESH_DEPTH_M / 30.0).abs() < 1e-6);
@@ -147,10 +220,16 @@ fn a_seeded_field_is_a_plausible_still_picture() {
         }
         for channel in 0..3 {
             let color = rogs_networks::stage1::decode::color(raw[channel]);
-            assert!((color - f32::from(rgb[3 * pixel + channel]) / 255.0).abs() < 0.12, "pixel {pixel} channel {channel}");
+            assert!(
+                (color - f32::from(rgb[3 * pixel + channel]) / 255.0).abs() < 0.12,
+                "pixel {pixel} channel {channel}"
+            );
         }
     }
-    assert_eq!(field.support.iter().filter(|&&support| support != 0).count(), 4 * robot_pixels().len());
+    assert_eq!(
+        field.support.iter().filter(|&&support| support != 0).count(),
+        4 * robot_pixels().len()
+    );
 }
 
 #[test]
@@ -167,14 +246,23 @@ fn interventions_change_what_they_say_and_nothing_else() {
     assert!(free.support.iter().all(|&support| support == 0) && free.scale_cap_iu.iter().all(|cap| cap.is_infinite()));
     assert_eq!(free.base_raw, base.base_raw);
     assert_ne!(free.position_m, base.position_m);
-    assert_ne!(free.slices, base.slices, "the FK displacement is taken at the learned depth");
+    assert_ne!(
+        free.slices, base.slices,
+        "the FK displacement is taken at the learned depth"
+    );
 
     let uncapped = with(&|params| params.footprint_px = None);
     assert!(uncapped.scale_cap_iu.iter().all(|cap| cap.is_infinite()));
-    assert_eq!((&uncapped.position_m, &uncapped.slices), (&base.position_m, &base.slices));
+    assert_eq!(
+        (&uncapped.position_m, &uncapped.slices),
+        (&base.position_m, &base.slices)
+    );
 
     let unconditioned = with(&|params| params.fk_conditioning = false);
-    assert_eq!((&unconditioned.position_m, &unconditioned.base_raw), (&base.position_m, &base.base_raw));
+    assert_eq!(
+        (&unconditioned.position_m, &unconditioned.base_raw),
+        (&base.position_m, &base.base_raw)
+    );
     assert_ne!(unconditioned.slices, base.slices);
 
     let blocked = with(&|params| params.attention = CrossCamera::WithinCamera);
@@ -187,15 +275,27 @@ fn interventions_change_what_they_say_and_nothing_else() {
     assert_eq!((fewer.views.len(), fewer.len()), (2, 2 * AREA));
 
     let gated = with(&|params| params.motion_gate_iu = 1e9);
-    let open = |field: &Field| field.slices[1].gate.iter().filter(|&&gate| gate & GATE_ATTRIBUTES != 0).count();
+    let open = |field: &Field| {
+        field.slices[1]
+            .gate
+            .iter()
+            .filter(|&&gate| gate & GATE_ATTRIBUTES != 0)
+            .count()
+    };
     assert!(open(&base) > 0 && open(&gated) == 0);
-    assert_eq!(gated.slices[1].displacement_m, base.slices[1].displacement_m, "the displacement is never gated");
+    assert_eq!(
+        gated.slices[1].displacement_m, base.slices[1].displacement_m,
+        "the displacement is never gated"
+    );
 }
 
 #[test]
 fn kinematic_transport_moves_robot_pixels_with_their_link() {
     let inputs = inputs();
-    let params = LiftParams { robot_motion: RobotMotion::Kinematics, ..LiftParams::default() };
+    let params = LiftParams {
+        robot_motion: RobotMotion::Kinematics,
+        ..LiftParams::default()
+    };
     let field = lift_with(&model(&params), &params, &inputs);
     let slice = field.slice_at(1.0).unwrap();
     let raw = slice.raw(&field.base_raw);
@@ -206,8 +306,14 @@ fn kinematic_transport_moves_robot_pixels_with_their_link() {
             continue;
         }
         // The conditioning of the test says 0.07 iu per frame from frame 0 to 4.
-        assert!((d[0] - 0.28 / 3.5).abs() < 1e-6 && (d[1] - 0.01 / 3.5).abs() < 1e-6, "{d:?}");
-        let (turned, base) = (&raw[RAW_CHANNELS * pixel..][..RAW_CHANNELS], &field.base_raw[RAW_CHANNELS * pixel..][..RAW_CHANNELS]);
+        assert!(
+            (d[0] - 0.28 / 3.5).abs() < 1e-6 && (d[1] - 0.01 / 3.5).abs() < 1e-6,
+            "{d:?}"
+        );
+        let (turned, base) = (
+            &raw[RAW_CHANNELS * pixel..][..RAW_CHANNELS],
+            &field.base_raw[RAW_CHANNELS * pixel..][..RAW_CHANNELS],
+        );
         assert_eq!((&turned[..6], turned[10]), (&base[..6], base[10]));
         // 0.4 rad about z: (cos 0.2, 0, 0, sin 0.2) * q.
         let expected = 0.2f32.cos() * base[6] - 0.2f32.sin() * base[9];
@@ -219,17 +325,41 @@ fn kinematic_transport_moves_robot_pixels_with_their_link() {
 fn queries_answer_stored_times_exactly_and_others_in_between() {
     let inputs = inputs();
     let model = moving_model();
-    let params = LiftParams { fk_conditioning: false, ..LiftParams::default() };
+    let params = LiftParams {
+        fk_conditioning: false,
+        ..LiftParams::default()
+    };
     let field = lift_with(&model, &params, &inputs);
-    let query = FieldQuery::new(&field, &model.network, MotionOptions { gates: params.gates(), robot_motion: params.robot_motion }).unwrap();
+    let query = FieldQuery::new(
+        &field,
+        &model.network,
+        MotionOptions {
+            gates: params.gates(),
+            robot_motion: params.robot_motion,
+        },
+    )
+    .unwrap();
     for stored in &field.slices {
         assert_eq!(&query.at(stored.time, &[]).unwrap(), stored);
     }
     let between = query.at(0.37, &[]).unwrap();
-    assert_ne!(between.displacement_m, field.slices[1].displacement_m);
+    assert!(between.displacement_m != field.slices[1].displacement_m);
     assert!(query.at(1.5, &[]).unwrap_err().to_string().contains("outside"));
-    let dropped = Field { query_state: Vec::new(), ..field };
-    assert!(FieldQuery::new(&dropped, &model.network, MotionOptions { gates: params.gates(), robot_motion: params.robot_motion }).is_err());
+    let dropped = Field {
+        query_state: Vec::new(),
+        ..field
+    };
+    assert!(
+        FieldQuery::new(
+            &dropped,
+            &model.network,
+            MotionOptions {
+                gates: params.gates(),
+                robot_motion: params.robot_motion
+            }
+        )
+        .is_err()
+    );
 }
 
 #[test]
@@ -250,16 +380,50 @@ fn inputs_that_do_not_belong_together_are_named() {
         let mut inputs = inputs();
         change(&mut inputs);
         let run = &mut |_: &str, _: f64, work: rogs_lift::Work<'_>| work();
-        lift_clip(&model, params, &inputs.clip, &inputs.robot, &inputs.conditioning, run, &mut Vec::new()).unwrap_err().message
+        lift_clip(
+            &model,
+            params,
+            &inputs.clip,
+            &inputs.robot,
+            &inputs.conditioning,
+            run,
+            &mut Vec::new(),
+        )
+        .unwrap_err()
+        .message
     };
     let params = LiftParams::default();
     assert!(fail(&params, &|inputs| inputs.robot.clip_id = "other".into()).contains("`other`"));
     assert!(fail(&params, &|inputs| inputs.clip.cameras[1].rgb = None).contains("ext1"));
     assert!(fail(&params, &|inputs| inputs.robot.maps.clear()).contains("robot map"));
     assert!(fail(&params, &|inputs| inputs.conditioning.query_frames[1] = 3).contains("frame 1"));
-    assert!(fail(&LiftParams { source_frames: Some(vec![2]), ..params.clone() }, &|_| {}).contains("frame 2"));
-    assert!(fail(&LiftParams { rgb_downsample: 0, ..params.clone() }, &|_| {}).contains("rgb_downsample"));
-    let unknown = load_model(&LiftParams { configuration: "huge".into(), ..params.clone() }, None);
+    assert!(
+        fail(
+            &LiftParams {
+                source_frames: Some(vec![2]),
+                ..params.clone()
+            },
+            &|_| {}
+        )
+        .contains("frame 2")
+    );
+    assert!(
+        fail(
+            &LiftParams {
+                rgb_downsample: 0,
+                ..params.clone()
+            },
+            &|_| {}
+        )
+        .contains("rgb_downsample")
+    );
+    let unknown = load_model(
+        &LiftParams {
+            configuration: "huge".into(),
+            ..params.clone()
+        },
+        None,
+    );
     assert!(unknown.is_err_and(|error| error.message.contains("huge")));
     let weights = std::path::Path::new("/nonexistent/weights.safetensors");
     assert!(load_model(&params, Some(weights)).is_err_and(|error| error.message.contains("nonexistent")));

@@ -17,7 +17,11 @@ const FRESH_SEED: u64 = 73;
 
 /// A weights file of any supported format, its tensors under the names it uses.
 pub fn open_any(path: &Path) -> Result<Box<dyn ParameterSource>> {
-    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let extension = path
+        .extension()
+        .and_then(|extension| extension.to_str())
+        .unwrap_or_default()
+        .to_ascii_lowercase();
     match extension.as_str() {
         "safetensors" => Ok(Box::new(TensorFile::open(path)?)),
         "pth" | "pt" | "ckpt" => Ok(Box::new(PytorchFile::open(path)?)),
@@ -36,13 +40,22 @@ struct PytorchFile {
 
 impl PytorchFile {
     fn open(path: &Path) -> Result<Self> {
-        let bad = |error: &dyn std::fmt::Display| Error::BadFile { path: path.to_owned(), reason: error.to_string() };
+        let bad = |error: &dyn std::fmt::Display| Error::BadFile {
+            path: path.to_owned(),
+            reason: error.to_string(),
+        };
         if !path.is_file() {
             let source = std::io::Error::new(std::io::ErrorKind::NotFound, "there is no such file");
-            return Err(Error::Io { path: path.to_owned(), source });
+            return Err(Error::Io {
+                path: path.to_owned(),
+                source,
+            });
         }
         let reader = PytorchReader::new(path).map_err(|error| bad(&error))?;
-        Ok(Self { path: path.to_owned(), tensors: reader.into_tensors().into_iter().collect() })
+        Ok(Self {
+            path: path.to_owned(),
+            tensors: reader.into_tensors().into_iter().collect(),
+        })
     }
 }
 
@@ -52,17 +65,27 @@ impl ParameterSource for PytorchFile {
     }
 
     fn values(&self, name: &str) -> Result<Vec<f32>> {
-        let tensor = self.tensors.get(name).ok_or_else(|| Error::MissingTensor { name: name.to_owned() })?;
+        let tensor = self
+            .tensors
+            .get(name)
+            .ok_or_else(|| Error::MissingTensor { name: name.to_owned() })?;
         let element = match tensor.dtype() {
             DType::F32 => ElementType::F32,
             DType::BF16 => ElementType::BF16,
             DType::F16 => ElementType::F16,
             other => {
-                let reason = format!("the tensor `{name}` has numbers of type {other:?}; f32, bf16 and f16 are supported");
-                return Err(Error::BadFile { path: self.path.clone(), reason });
+                let reason =
+                    format!("the tensor `{name}` has numbers of type {other:?}; f32, bf16 and f16 are supported");
+                return Err(Error::BadFile {
+                    path: self.path.clone(),
+                    reason,
+                });
             }
         };
-        let bytes = tensor.read().map_err(|source| Error::Io { path: self.path.clone(), source })?;
+        let bytes = tensor.read().map_err(|source| Error::Io {
+            path: self.path.clone(),
+            source,
+        })?;
         // The reader hands numbers over in this machine's byte order, which every supported machine has little-endian.
         Ok(element.widen(&bytes))
     }
@@ -92,12 +115,18 @@ impl Renamed {
     /// Maps the names of a source.
     #[must_use]
     pub fn new(source: Box<dyn ParameterSource>) -> Self {
-        let bare: Vec<(String, String)> =
-            source.names().into_iter().map(|name| (strip_folders(name).to_owned(), name.to_owned())).collect();
+        let bare: Vec<(String, String)> = source
+            .names()
+            .into_iter()
+            .map(|name| (strip_folders(name).to_owned(), name.to_owned()))
+            .collect();
         let vggt = bare.iter().any(|(name, _)| name.starts_with("aggregator."));
         let origin = if vggt { Origin::Vggt } else { Origin::Released };
         let ours = |name: String| if vggt { from_vggt(&name) } else { name };
-        let names = bare.into_iter().map(|(name, original)| (ours(name), original)).collect();
+        let names = bare
+            .into_iter()
+            .map(|(name, original)| (ours(name), original))
+            .collect();
         Self { source, names, origin }
     }
 
@@ -114,7 +143,10 @@ impl ParameterSource for Renamed {
     }
 
     fn values(&self, name: &str) -> Result<Vec<f32>> {
-        let original = self.names.get(name).ok_or_else(|| Error::MissingTensor { name: name.to_owned() })?;
+        let original = self
+            .names
+            .get(name)
+            .ok_or_else(|| Error::MissingTensor { name: name.to_owned() })?;
         self.source.values(original)
     }
 
@@ -141,7 +173,9 @@ fn from_vggt(name: &str) -> String {
         ("depth_head.", "backbone.depth_head."),
         ("point_head.", "backbone.motion_head."),
     ];
-    let mapped = RULES.iter().find_map(|(theirs, ours)| name.strip_prefix(theirs).map(|rest| format!("{ours}{rest}")));
+    let mapped = RULES
+        .iter()
+        .find_map(|(theirs, ours)| name.strip_prefix(theirs).map(|rest| format!("{ours}{rest}")));
     mapped.unwrap_or_else(|| name.to_owned())
 }
 
@@ -180,7 +214,14 @@ pub struct ImportReport {
 /// # Errors
 /// When the file cannot be read, or its tensors are not those of the configuration; nothing is written then.
 pub fn import_stage1(request: &ImportRequest) -> Result<ImportReport> {
-    let ImportRequest { input, output, config, element, provenance, drop_unexpected } = request;
+    let ImportRequest {
+        input,
+        output,
+        config,
+        element,
+        provenance,
+        drop_unexpected,
+    } = request;
     config.validate()?;
     let source = Renamed::new(open_any(input)?);
     let verification = verify_stage1(&source, config);
@@ -191,8 +232,19 @@ pub fn import_stage1(request: &ImportRequest) -> Result<ImportReport> {
     let mut fresh = Vec::new();
     if source.origin() == Origin::Vggt {
         let may_be_fresh = |name: &String| {
-            let own = ["plucker_embed.", "plucker_ln.", "backbone.extra_embed.", "backbone.time_embed.", "splat_head.", "motion_splat_head.", "motion_head.time_embed."];
-            own.iter().any(|part| name.strip_prefix("backbone.").is_some_and(|rest| rest.starts_with(part)))
+            let own = [
+                "plucker_embed.",
+                "plucker_ln.",
+                "backbone.extra_embed.",
+                "backbone.time_embed.",
+                "splat_head.",
+                "motion_splat_head.",
+                "motion_head.time_embed.",
+            ];
+            own.iter().any(|part| {
+                name.strip_prefix("backbone.")
+                    .is_some_and(|rest| rest.starts_with(part))
+            })
         };
         (fresh, judged.missing) = judged.missing.into_iter().partition(may_be_fresh);
     }
@@ -202,15 +254,30 @@ pub fn import_stage1(request: &ImportRequest) -> Result<ImportReport> {
     let tensors: Vec<TensorSource<'_>> = expected
         .map(|spec| {
             let (name, shape) = (spec.name.clone(), spec.shape.clone());
-            let values = move || if source.shape(&spec.name).is_some() { source.values(&spec.name) } else { Ok(seeded::values(&spec, config, FRESH_SEED)) };
-            TensorSource { name, shape, values: Box::new(values) }
+            let values = move || {
+                if source.shape(&spec.name).is_some() {
+                    source.values(&spec.name)
+                } else {
+                    Ok(seeded::values(&spec, config, FRESH_SEED))
+                }
+            };
+            TensorSource {
+                name,
+                shape,
+                values: Box::new(values),
+            }
         })
         .collect();
     let written = tensors.len();
     let file = input.file_name().unwrap_or_default().to_string_lossy();
     let metadata = stage1_metadata(config, fresh.is_empty(), &format!("imported from {file}; {provenance}"));
     write(output, &metadata, *element, tensors)?;
-    Ok(ImportReport { origin: source.origin(), verification, fresh, written })
+    Ok(ImportReport {
+        origin: source.origin(),
+        verification,
+        fresh,
+        written,
+    })
 }
 
 /// Optional tensors that a source has.
@@ -230,7 +297,13 @@ fn extras(source: &dyn ParameterSource, config: &Stage1Config) -> Vec<layout::Pa
 ///
 /// # Errors
 /// When the configuration is not possible or writing fails.
-pub fn generate_stage1(path: &Path, config: &Stage1Config, seed: u64, element: ElementType, fk_branch: bool) -> Result<()> {
+pub fn generate_stage1(
+    path: &Path,
+    config: &Stage1Config,
+    seed: u64,
+    element: ElementType,
+    fk_branch: bool,
+) -> Result<()> {
     config.validate()?;
     let mut specs = layout::released(config);
     if fk_branch {
@@ -238,7 +311,11 @@ pub fn generate_stage1(path: &Path, config: &Stage1Config, seed: u64, element: E
     }
     let tensor = |spec: layout::ParameterSpec| {
         let (name, shape) = (spec.name.clone(), spec.shape.clone());
-        TensorSource { name, shape, values: Box::new(move || Ok(seeded::values(&spec, config, seed))) }
+        TensorSource {
+            name,
+            shape,
+            values: Box::new(move || Ok(seeded::values(&spec, config, seed))),
+        }
     };
     let metadata = stage1_metadata(config, false, &format!("generated from seed {seed}"));
     write(path, &metadata, element, specs.into_iter().map(tensor).collect())
@@ -252,7 +329,10 @@ pub fn merge_lora(input: &Path, output: &Path, element: ElementType) -> Result<(
     let file = TensorFile::open(input)?;
     let loaded = super::open_stage1(input, &burn::tensor::Device::flex())?;
     let config = &loaded.network.config;
-    let bad = |reason: &str| Error::BadFile { path: input.to_owned(), reason: reason.to_owned() };
+    let bad = |reason: &str| Error::BadFile {
+        path: input.to_owned(),
+        reason: reason.to_owned(),
+    };
     let rank = layout::lora_rank(&file).ok_or_else(|| bad("it has no low-rank updates to merge"))?;
     let file = &file;
     let kept = file.names().into_iter().filter(|name| !name.contains(".lora_"));
@@ -260,16 +340,26 @@ pub fn merge_lora(input: &Path, output: &Path, element: ElementType) -> Result<(
         let shape = file.shape(name).unwrap_or_default().to_vec();
         let own = name.to_owned();
         let values = move || folded(file, &own, rank);
-        TensorSource { name: name.to_owned(), shape, values: Box::new(values) }
+        TensorSource {
+            name: name.to_owned(),
+            shape,
+            values: Box::new(values),
+        }
     });
-    let metadata = stage1_metadata(config, loaded.trained, &format!("{}; low-rank updates merged", loaded.provenance));
+    let metadata = stage1_metadata(
+        config,
+        loaded.trained,
+        &format!("{}; low-rank updates merged", loaded.provenance),
+    );
     write(output, &metadata, element, tensors.collect())
 }
 
 /// W + scale B A in f64 sums, for a weight that has an update; W otherwise.
 fn folded(file: &TensorFile, name: &str, rank: usize) -> Result<Vec<f32>> {
     let mut weight = file.values(name)?;
-    let Some(layer) = name.strip_suffix(".weight") else { return Ok(weight) };
+    let Some(layer) = name.strip_suffix(".weight") else {
+        return Ok(weight);
+    };
     let (a, b) = (format!("{layer}.lora_A.weight"), format!("{layer}.lora_B.weight"));
     if file.shape(&a).is_none() {
         return Ok(weight);
@@ -278,7 +368,11 @@ fn folded(file: &TensorFile, name: &str, rank: usize) -> Result<Vec<f32>> {
     let inputs = a.len() / rank.max(1);
     for (row, b) in weight.chunks_exact_mut(inputs).zip(b.chunks_exact(rank)) {
         for (column, value) in row.iter_mut().enumerate() {
-            let sum: f64 = b.iter().enumerate().map(|(k, &b)| f64::from(b) * f64::from(a[k * inputs + column])).sum();
+            let sum: f64 = b
+                .iter()
+                .enumerate()
+                .map(|(k, &b)| f64::from(b) * f64::from(a[k * inputs + column]))
+                .sum();
             *value = (f64::from(*value) + crate::ops::LORA_SCALE * sum) as f32;
         }
     }
@@ -293,8 +387,14 @@ mod tests {
     fn names_of_others_become_ours() {
         assert_eq!(strip_folders("state_dict.module.backbone.norm"), "backbone.norm");
         let pairs = [
-            ("aggregator.patch_embed.blocks.3.norm1.weight", "backbone.encoder.blocks.3.norm1.weight"),
-            ("aggregator.frame_blocks.0.attn.qkv.bias", "backbone.backbone.frame_blocks.0.attn.qkv.bias"),
+            (
+                "aggregator.patch_embed.blocks.3.norm1.weight",
+                "backbone.encoder.blocks.3.norm1.weight",
+            ),
+            (
+                "aggregator.frame_blocks.0.attn.qkv.bias",
+                "backbone.backbone.frame_blocks.0.attn.qkv.bias",
+            ),
             ("point_head.norm.weight", "backbone.motion_head.norm.weight"),
             ("camera_head.trunk.0.weight", "camera_head.trunk.0.weight"),
         ];

@@ -135,23 +135,26 @@ impl PackedAttention<'_> {
             .par_chunks_mut(tokens * size)
             .enumerate()
             .for_each(|(head, result)| {
-                Arch::new().dispatch(#[inline(always)] || {
-                    for (token, out) in result.chunks_exact_mut(size).enumerate() {
-                        let first = part * width + head * size;
-                        let values = packed[token * 3 * width + first..].iter().zip(&self.bias[first..]);
-                        out.iter_mut()
-                            .zip(values)
-                            .for_each(|(out, (value, bias))| *out = value + bias);
-                        if let Some(norms) = &self.norms {
-                            normalise(out, &norms[part]);
+                Arch::new().dispatch(
+                    #[inline(always)]
+                    || {
+                        for (token, out) in result.chunks_exact_mut(size).enumerate() {
+                            let first = part * width + head * size;
+                            let values = packed[token * 3 * width + first..].iter().zip(&self.bias[first..]);
+                            out.iter_mut()
+                                .zip(values)
+                                .for_each(|(out, (value, bias))| *out = value + bias);
+                            if let Some(norms) = &self.norms {
+                                normalise(out, &norms[part]);
+                            }
+                            if let Some([cosine, sine]) = self.rotary {
+                                let place = (token * size) % cosine.len();
+                                rotate(out, &cosine[place..place + size], &sine[place..place + size]);
+                            }
+                            out.iter_mut().for_each(|value| *value *= scale);
                         }
-                        if let Some([cosine, sine]) = self.rotary {
-                            let place = (token * size) % cosine.len();
-                            rotate(out, &cosine[place..place + size], &sine[place..place + size]);
-                        }
-                        out.iter_mut().for_each(|value| *value *= scale);
-                    }
-                });
+                    },
+                );
             });
         result
     }

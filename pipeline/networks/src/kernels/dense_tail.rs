@@ -46,11 +46,14 @@ impl DenseTail {
                     let (upper, share) = row_taps[row];
                     let lower = &plane[(upper + 1).min(rows - 1) * columns..][..columns];
                     let upper = &plane[upper * columns..][..columns];
-                    Arch::new().dispatch(#[inline(always)] || {
-                        for ((out, &a), &b) in blended.iter_mut().zip(upper).zip(lower) {
-                            *out = share.mul_add(b - a, a);
-                        }
-                    });
+                    Arch::new().dispatch(
+                        #[inline(always)]
+                        || {
+                            for ((out, &a), &b) in blended.iter_mut().zip(upper).zip(lower) {
+                                *out = share.mul_add(b - a, a);
+                            }
+                        },
+                    );
                     for (out, &(left, share)) in out.iter_mut().zip(&column_taps) {
                         let (a, b) = (blended[left], blended[(left + 1).min(columns - 1)]);
                         *out = a + share * (b - a);
@@ -59,25 +62,30 @@ impl DenseTail {
                 let sums = self.first.band(&band);
                 let pixels = count * width;
                 let mut result = vec![0.0f32; outputs * pixels];
-                Arch::new().dispatch(#[inline(always)] || {
-                    for (output, &bias) in result.chunks_exact_mut(pixels).zip(&self.bias) {
-                        output.fill(bias);
-                    }
-                    let mut rectified = vec![0.0f32; pixels];
-                    for channel in 0..hidden {
-                        let map = &self.map[channel * area + first * width..][..pixels];
-                        let sums = &sums[channel * pixels..][..pixels];
-                        for ((out, &sum), &map) in rectified.iter_mut().zip(sums).zip(map) {
-                            *out = (sum + map).max(0.0);
+                Arch::new().dispatch(
+                    #[inline(always)]
+                    || {
+                        for (output, &bias) in result.chunks_exact_mut(pixels).zip(&self.bias) {
+                            output.fill(bias);
                         }
-                        for (output, weights) in result.chunks_exact_mut(pixels).zip(self.second.chunks_exact(hidden)) {
-                            let weight = weights[channel];
-                            for (out, &value) in output.iter_mut().zip(&rectified) {
-                                *out = weight.mul_add(value, *out);
+                        let mut rectified = vec![0.0f32; pixels];
+                        for channel in 0..hidden {
+                            let map = &self.map[channel * area + first * width..][..pixels];
+                            let sums = &sums[channel * pixels..][..pixels];
+                            for ((out, &sum), &map) in rectified.iter_mut().zip(sums).zip(map) {
+                                *out = (sum + map).max(0.0);
+                            }
+                            for (output, weights) in
+                                result.chunks_exact_mut(pixels).zip(self.second.chunks_exact(hidden))
+                            {
+                                let weight = weights[channel];
+                                for (out, &value) in output.iter_mut().zip(&rectified) {
+                                    *out = weight.mul_add(value, *out);
+                                }
                             }
                         }
-                    }
-                });
+                    },
+                );
                 result
             })
             .collect();

@@ -43,13 +43,16 @@ pub(super) fn gelu(x: f32) -> f32 {
 pub(crate) fn bias_gelu(values: &mut [f32], bias: &[f32]) {
     let rows = (CHUNK / bias.len()).max(1);
     values.par_chunks_mut(rows * bias.len()).for_each(|chunk| {
-        Arch::new().dispatch(#[inline(always)] || {
-            for row in chunk.chunks_exact_mut(bias.len()) {
-                for (value, bias) in row.iter_mut().zip(bias) {
-                    *value = gelu(*value + bias);
+        Arch::new().dispatch(
+            #[inline(always)]
+            || {
+                for row in chunk.chunks_exact_mut(bias.len()) {
+                    for (value, bias) in row.iter_mut().zip(bias) {
+                        *value = gelu(*value + bias);
+                    }
                 }
-            }
-        });
+            },
+        );
     });
 }
 
@@ -63,13 +66,16 @@ pub(crate) fn bias_scale_add(values: &mut [f32], bias: &[f32], scale: &[f32], re
         .par_chunks_mut(rows * width)
         .zip(residual.par_chunks(rows * width))
         .for_each(|(chunk, residual)| {
-            Arch::new().dispatch(#[inline(always)] || {
-                for (row, residual) in chunk.chunks_exact_mut(width).zip(residual.chunks_exact(width)) {
-                    for (((value, bias), scale), residual) in row.iter_mut().zip(bias).zip(scale).zip(residual) {
-                        *value = scale.mul_add(*value + bias, *residual);
+            Arch::new().dispatch(
+                #[inline(always)]
+                || {
+                    for (row, residual) in chunk.chunks_exact_mut(width).zip(residual.chunks_exact(width)) {
+                        for (((value, bias), scale), residual) in row.iter_mut().zip(bias).zip(scale).zip(residual) {
+                            *value = scale.mul_add(*value + bias, *residual);
+                        }
                     }
-                }
-            });
+                },
+            );
         });
 }
 
