@@ -89,11 +89,7 @@ impl MotionBasisField {
     /// Number of foreground Gaussians; the others do not move.
     #[must_use]
     pub fn foreground(&self) -> usize {
-        if self.parts.bases == 0 {
-            0
-        } else {
-            self.weights.len() / self.parts.bases
-        }
+        self.weights.len().checked_div(self.parts.bases).unwrap_or(0)
     }
 
     /// All Gaussians at a frame, metres; foreground first.
