@@ -276,13 +276,58 @@ fn shuffle(bytes: &[u8], stride: usize, planes: &mut Vec<u8>) {
     for start in (0..count).step_by(BLOCK) {
         let elements = BLOCK.min(count - start);
         let block = &bytes[start * stride..(start + elements) * stride];
-        for k in 0..stride {
+        let mut k = 0;
+        // Four bytes of four elements at once, as whole words.
+        while k + 4 <= stride {
+            let mut rest = &mut planes[k * count..(k + 4) * count];
+            let lanes = [0; 4].map(|_| {
+                let (plane, after) = std::mem::take(&mut rest).split_at_mut(count);
+                rest = after;
+                &mut plane[start..start + elements]
+            });
+            shuffle_four(block, stride, k, lanes);
+            k += 4;
+        }
+        for k in k..stride {
             let plane = &mut planes[k * count + start..][..elements];
             for (out, element) in plane.iter_mut().zip(block.chunks_exact(stride)) {
                 *out = element[k];
             }
         }
     }
+}
+
+/// Bytes `k..k + 4` of every element of a block to four planes.
+fn shuffle_four(block: &[u8], stride: usize, k: usize, [a, b, c, d]: [&mut [u8]; 4]) {
+    let word = |element: &[u8]| u32::from_le_bytes([element[k], element[k + 1], element[k + 2], element[k + 3]]);
+    let fours = a.as_chunks_mut::<4>().0.iter_mut().zip(b.as_chunks_mut::<4>().0);
+    let fours = fours.zip(c.as_chunks_mut::<4>().0).zip(d.as_chunks_mut::<4>().0);
+    for ((((a, b), c), d), elements) in fours.zip(block.chunks_exact(4 * stride)) {
+        let (one, rest) = elements.split_at(stride);
+        let (two, rest) = rest.split_at(stride);
+        let (three, four) = rest.split_at(stride);
+        let planes = transpose([word(one), word(two), word(three), word(four)]);
+        [*a, *b, *c, *d] = planes.map(u32::to_le_bytes);
+    }
+    let done = a.len() / 4 * 4;
+    for (index, element) in block.chunks_exact(stride).enumerate().skip(done) {
+        (a[index], b[index], c[index], d[index]) = (element[k], element[k + 1], element[k + 2], element[k + 3]);
+    }
+}
+
+/// The 4x4 bytes of four words with rows and columns traded.
+fn transpose([a, b, c, d]: [u32; 4]) -> [u32; 4] {
+    const EVEN: u32 = 0x00ff_00ff;
+    let pairs = |x: u32, y: u32| ((x & EVEN) | ((y & EVEN) << 8), ((x >> 8) & EVEN) | (y & !EVEN));
+    let ((ab_even, ab_odd), (cd_even, cd_odd)) = (pairs(a, b), pairs(c, d));
+    let low = |x: u32, y: u32| (x & 0xffff) | (y << 16);
+    let high = |x: u32, y: u32| (x >> 16) | (y & 0xffff_0000);
+    [
+        low(ab_even, cd_even),
+        low(ab_odd, cd_odd),
+        high(ab_even, cd_even),
+        high(ab_odd, cd_odd),
+    ]
 }
 
 /// The inverse of [`shuffle`], from one slice a plane.
@@ -293,11 +338,37 @@ fn unshuffle(planes: &[&[u8]], out: &mut [u8]) {
     }
     for (number, block) in out.chunks_mut(BLOCK * stride).enumerate() {
         let start = number * BLOCK;
-        for (k, plane) in planes.iter().enumerate() {
+        let elements = block.len() / stride;
+        let (fours, ones) = planes.as_chunks::<4>();
+        for (group, four) in fours.iter().enumerate() {
+            unshuffle_four(
+                four.map(|plane| &plane[start..start + elements]),
+                block,
+                stride,
+                4 * group,
+            );
+        }
+        for (k, plane) in (4 * fours.len()..).zip(ones) {
             for (element, &byte) in block.chunks_exact_mut(stride).zip(&plane[start..]) {
                 element[k] = byte;
             }
         }
+    }
+}
+
+/// Four planes to bytes `k..k + 4` of every element of a block.
+fn unshuffle_four([a, b, c, d]: [&[u8]; 4], block: &mut [u8], stride: usize, k: usize) {
+    let fours = a.as_chunks::<4>().0.iter().zip(b.as_chunks::<4>().0);
+    let fours = fours.zip(c.as_chunks::<4>().0).zip(d.as_chunks::<4>().0);
+    for ((((a, b), c), d), elements) in fours.zip(block.chunks_exact_mut(4 * stride)) {
+        let words = transpose([*a, *b, *c, *d].map(u32::from_le_bytes));
+        for (element, word) in elements.chunks_exact_mut(stride).zip(words) {
+            element[k..k + 4].copy_from_slice(&word.to_le_bytes());
+        }
+    }
+    let done = a.len() / 4 * 4;
+    for (index, element) in block.chunks_exact_mut(stride).enumerate().skip(done) {
+        element[k..k + 4].copy_from_slice(&[a[index], b[index], c[index], d[index]]);
     }
 }
 
