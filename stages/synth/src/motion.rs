@@ -264,6 +264,10 @@ fn follow(robot: &Robot, plan: &Plan, objects: &[Object], table_z: f64, frames: 
         [first, end]
     });
     let target = target_path(plan, objects, &flanges, held);
+    // A hand that pushes a tall thing at its foot would run into its top.
+    if plan.push.is_some() && objects[0].height > 0.10 {
+        return None;
+    }
     let free = is_free(objects, &flanges, &target, held, table_z);
     free.then_some(Motion {
         action: plan.action,

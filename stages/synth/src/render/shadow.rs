@@ -94,10 +94,10 @@ impl LightMap {
 
     /// Share of the sky over a point: the map looks straight down, and what stands up around the point covers some.
     pub(crate) fn openness(&self, point: Vec3A, turn: f32) -> f32 {
-        // Eight directions at three distances, turned from pixel to pixel.
+        // Four directions at two distances, turned from pixel to pixel.
         const RING: [(f32, f32); 4] = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)];
         let mut covered = 0.0;
-        for (ring, metres) in [0.016f32, 0.045, 0.11].into_iter().enumerate() {
+        for (ring, metres) in [0.018f32, 0.07].into_iter().enumerate() {
             let (c, s) = ((turn + ring as f32 * 0.35) * 0.9, 1.0);
             let scale = metres * self.texels / (c * c + s * s).sqrt();
             for (x, y) in RING {
@@ -111,7 +111,7 @@ impl LightMap {
                 }
             }
         }
-        1.0 - (covered / 12.0).min(0.85)
+        1.0 - (covered / 8.0).min(0.85)
     }
 }
 
