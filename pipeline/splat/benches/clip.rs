@@ -195,8 +195,9 @@ fn bench_contributions(scene: &Gaussians, rounds: usize) {
                 .run(|| pool.install(|| render_with_contributions(scene, &camera, &config, &eligible)))
                 .expect("contributions");
             entries = contributions.len();
+            pooled.resize(contributions.rows.len() * 256, 0.0);
             pooling
-                .run(|| pool.install(|| contributions.pool(&features, 256)))
+                .run(|| pool.install(|| contributions.pool_into(&features, 256, &mut pooled)))
                 .expect("pooled features");
         }
         let name = format!("154x280 {threads} thread(s)");
