@@ -193,12 +193,15 @@ fn variants_share_what_they_have_in_common() {
         "refine@no-anchor",
         "score-1@no-anchor",
         "score-2@no-anchor",
+        // The field is shared; its scores are rows of their own in the tables.
+        "score-1@same",
+        "score-2@same",
     ];
     assert_eq!(labels, [&main[..], &variant[..]].concat());
     assert_eq!(prepared.plan.nodes[0].variants, [0, 1, 2]);
     assert_eq!(prepared.plan.nodes[3].variants, [0, 2]);
     let summary = prepared.run().unwrap();
-    assert_eq!((summary.exit, summary.units.made), (Exit::Done, 33));
+    assert_eq!((summary.exit, summary.units.made), (Exit::Done, 39));
     // Adding a variant to a finished run makes only what is new.
     workspace.manifest(
         "[[variants]]\nname = \"no-anchor\"\nlift.no_anchor = true\n[[variants]]\nname = \"seed-1\"\nlift.seed = 1\n",

@@ -1,11 +1,13 @@
 //! The commands, one module each.
 
 mod care;
+mod cohort;
 mod demo;
 mod doctor;
 mod engines;
 mod fk;
 mod inspect;
+mod metrics;
 mod plan;
 mod query;
 mod render;
@@ -13,6 +15,7 @@ mod run;
 mod status;
 mod synth;
 mod table;
+mod weights;
 
 use std::process::ExitCode;
 
@@ -44,6 +47,9 @@ enum Command {
     Gc(care::GcArgs),
     Table(table::Args),
     Synth(synth::Args),
+    Metrics(metrics::Args),
+    Cohort(cohort::Args),
+    Weights(weights::Args),
     Render(render::Args),
     Query(query::Args),
     Inspect(inspect::Args),
@@ -56,6 +62,9 @@ enum Command {
 pub(crate) fn run(command_line: CommandLine) -> anyhow::Result<ExitCode> {
     match command_line.command {
         Command::Demo(args) => demo::run(&args),
+        Command::Metrics(args) => metrics::run(&args),
+        Command::Cohort(args) => cohort::run(&args),
+        Command::Weights(args) => weights::run(args),
         Command::Synth(args) => synth::run(&args),
         Command::Run(args) => run::run(&args),
         Command::Plan(args) => plan::run(&args),

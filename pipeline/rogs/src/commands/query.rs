@@ -42,13 +42,20 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    ensure!((0.0..=1.0).contains(&args.time), "time {} is outside the clip, which spans 0 to 1", args.time);
+    ensure!(
+        (0.0..=1.0).contains(&args.time),
+        "time {} is outside the clip, which spans 0 to 1",
+        args.time
+    );
     let (mut field, info) = read_record::<Field>(&args.field)?;
     if field.slice_at(args.time).is_none() {
         let params: LiftParams = serde_json::from_str(&info.provenance.material.params)
             .context("the field was written by another version of `lift`; lift it again")?;
         if field.weights.trained && args.weights.is_none() {
-            bail!("the field was lifted with `{}`; give that file with `--weights`", field.weights.description);
+            bail!(
+                "the field was lifted with `{}`; give that file with `--weights`",
+                field.weights.description
+            );
         }
         let model = load_model(&params, args.weights.as_deref())?;
         ensure!(
@@ -64,7 +71,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         } else {
             Vec::new()
         };
-        let options = MotionOptions { gates: params.gates(), robot_motion: params.robot_motion };
+        let options = MotionOptions {
+            gates: params.gates(),
+            robot_motion: params.robot_motion,
+        };
         let slice = FieldQuery::new(&field, &model.network, options)?.at(args.time, &robot)?;
         let place = field.slices.partition_point(|stored| stored.time < args.time);
         field.slices.insert(place, slice);
@@ -77,14 +87,20 @@ fn robot_at(field: &Field, maps: &Path, conditioning: &Path, time: f64) -> anyho
     let (maps, _) = read_record::<RobotMaps>(maps)?;
     let (conditioning, _) = read_record::<Conditioning>(conditioning)?;
     for id in [&maps.clip_id, &conditioning.clip_id] {
-        ensure!(*id == field.clip_id, "robot maps or conditioning belong to clip `{id}`, the field to `{}`", field.clip_id);
+        ensure!(
+            *id == field.clip_id,
+            "robot maps or conditioning belong to clip `{id}`, the field to `{}`",
+            field.clip_id
+        );
     }
     let links = maps.link_names.len();
     let recon_from_base: Pose<Recon, Base> = Pose::from_rigid(&maps.recon_from_base)?;
     let position = time * f64::from(field.frame_count.saturating_sub(1));
     let (before, after) = (position.floor() as usize, position.ceil() as usize);
     let at = |frame: usize, link: usize| -> anyhow::Result<&RigidPose> {
-        maps.base_from_link.get(frame * links + link).with_context(|| format!("the robot maps have no frame {frame}"))
+        maps.base_from_link
+            .get(frame * links + link)
+            .with_context(|| format!("the robot maps have no frame {frame}"))
     };
     let query: Vec<Pose<Recon, Link>> = (0..links)
         .map(|link| {
@@ -108,7 +124,9 @@ fn robot_at(field: &Field, maps: &Path, conditioning: &Path, time: f64) -> anyho
         let view_maps = &conditioning.view_maps[stored];
         for (&pixel, &link) in view_maps.pixels.iter().zip(&view_maps.link) {
             let pixel = pixel as usize;
-            let Some(motion) = motions.get(usize::from(link)) else { continue };
+            let Some(motion) = motions.get(usize::from(link)) else {
+                continue;
+            };
             let from = &field.position_m[(index * area + pixel) * 3..][..3];
             let point = glam::DVec3::new(f64::from(from[0]), f64::from(from[1]), f64::from(from[2]));
             let moved = motion.point(point) - point;

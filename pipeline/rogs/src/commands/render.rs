@@ -97,12 +97,21 @@ struct Scene {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    if args.scene.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ply")) {
+    if args
+        .scene
+        .extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("ply"))
+    {
         ensure!(args.refinement.is_none(), "a PLY file takes no refinement");
         ensure!(args.time.is_none(), "a PLY file holds one time; leave `--time` out");
         let scene = rogs_splat::ply::read_ply_file(&args.scene)?;
         let recon_from_base = Pose::from_matrix4(&IDENTITY)?;
-        let scene = Scene { gaussians: scene.gaussians, time: None, units_per_metre: 1.0, recon_from_base };
+        let scene = Scene {
+            gaussians: scene.gaussians,
+            time: None,
+            units_per_metre: 1.0,
+            recon_from_base,
+        };
         return render_scene(&scene, &args.view);
     }
     let (field, _) = read_record::<Field>(&args.scene)?;
@@ -113,7 +122,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     };
     let Some(time) = time else {
         let stored: Vec<String> = field.slices.iter().map(|slice| slice.time.to_string()).collect();
-        bail!("the field stores no values at this time; `rogs query` answers any; stored times: {}", stored.join(", "));
+        bail!(
+            "the field stores no values at this time; `rogs query` answers any; stored times: {}",
+            stored.join(", ")
+        );
     };
     render_field(&field, args.refinement.as_deref(), time, &args.view)
 }
@@ -166,7 +178,10 @@ fn render_scene(scene: &Scene, args: &ViewArgs) -> anyhow::Result<ExitCode> {
             output::text(&file.display().to_string())?;
         }
         if view.invalid > 0 {
-            output::note(&format!("{}: {} Gaussians have invalid values and were left out", view.camera, view.invalid));
+            output::note(&format!(
+                "{}: {} Gaussians have invalid values and were left out",
+                view.camera, view.invalid
+            ));
         }
     }
     Ok(ExitCode::SUCCESS)
