@@ -30,7 +30,11 @@ pub(crate) struct Args {
 }
 
 fn variant(name: &str) -> Result<SsimVariant, String> {
-    let all = [SsimVariant::SkimageSampleCov, SsimVariant::Skimage, SsimVariant::Torchmetrics];
+    let all = [
+        SsimVariant::SkimageSampleCov,
+        SsimVariant::Skimage,
+        SsimVariant::Torchmetrics,
+    ];
     let found = all.into_iter().find(|variant| variant.name() == name);
     found.ok_or_else(|| format!("variants are {}", all.map(SsimVariant::name).join(", ")))
 }
@@ -51,10 +55,18 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         output::json(&scores)?;
         return Ok(ExitCode::SUCCESS);
     }
-    let number = |value: Option<f64>, digits: usize| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"));
+    let number =
+        |value: Option<f64>, digits: usize| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"));
     let mut text = format!("{:<40} {:>9} {:>8} {:>8}\n", "image", "PSNR", "SSIM", "LPIPS");
     for pair in &scores.pairs {
-        let _ = writeln!(text, "{:<40} {:>9.3} {:>8} {:>8}", pair.name, pair.psnr, number(pair.ssim, 4), number(pair.lpips, 4));
+        let _ = writeln!(
+            text,
+            "{:<40} {:>9.3} {:>8} {:>8}",
+            pair.name,
+            pair.psnr,
+            number(pair.ssim, 4),
+            number(pair.lpips, 4)
+        );
     }
     if scores.pairs.len() > 1 {
         let _ = writeln!(
@@ -66,7 +78,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
             number(scores.lpips, 4)
         );
     }
-    for (names, side) in [(&scores.only_in_prediction, "prediction"), (&scores.only_in_reference, "reference")] {
+    for (names, side) in [
+        (&scores.only_in_prediction, "prediction"),
+        (&scores.only_in_reference, "reference"),
+    ] {
         if !names.is_empty() {
             let _ = writeln!(text, "only in the {side}: {}", names.join(", "));
         }
