@@ -127,7 +127,7 @@ impl Stage1Config {
         if sizes.iter().any(|&size| size > 1 << 14) || self.encoder_blocks > 1 << 10 {
             return fail("a size is larger than any network this program can run".into());
         }
-        if self.width % self.heads != 0 || (self.width / self.heads) % 4 != 0 {
+        if !self.width.is_multiple_of(self.heads) || !(self.width / self.heads).is_multiple_of(4) {
             let (width, heads) = (self.width, self.heads);
             return fail(format!(
                 "width {width} does not split into {heads} heads of a multiple of 4 channels"
@@ -143,7 +143,7 @@ impl Stage1Config {
             .head_channels
             .iter()
             .any(|&channels| channels == 0 || channels % 4 != 0)
-            || self.head_features % 8 != 0
+            || !self.head_features.is_multiple_of(8)
         {
             return fail("head channels must be multiples of 4 and head features of 8".into());
         }
@@ -173,7 +173,7 @@ impl Stage1Config {
     /// # Errors
     /// When the image is not a whole number of patches.
     pub fn grid(&self, height: usize, width: usize) -> Result<[usize; 2]> {
-        if height == 0 || width == 0 || height % self.patch != 0 || width % self.patch != 0 {
+        if height == 0 || width == 0 || !height.is_multiple_of(self.patch) || !width.is_multiple_of(self.patch) {
             let patch = self.patch;
             return Err(Error::BadInput(format!(
                 "images of {height}x{width} pixels are not a whole number of {patch}-pixel patches"
