@@ -93,7 +93,7 @@ fn shards_tell_how_they_ended() {
 fn plain(text: &str, workspace: &Workspace) -> String {
     let place = workspace.path("").display().to_string();
     text.replace(&example("toy_pipeline").display().to_string(), "rogs")
-        .replace(place.trim_end_matches('/'), "/work")
+        .replace(place.trim_end_matches('/'), "/runs")
 }
 
 const SLURM: &str = "[slurm]\nshards = 3\nat-once = 2\npartition = \"batch\"\ntime = \"01:00:00\"\nsetup = [\"module load ffmpeg\"]\n\

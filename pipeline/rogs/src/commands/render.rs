@@ -29,15 +29,20 @@ pub(crate) struct Args {
     view: ViewArgs,
 }
 
+const CAMERA_HELP: &str = "Camera file: JSON, one camera or a list of them, for example
+
+{\"name\": \"view\", \"width\": 280, \"height\": 154,
+ \"intrinsics\": {\"fx\": 116, \"fy\": 116, \"cx\": 140, \"cy\": 77},
+ \"base_from_camera\": [[1,0,0,0.5], [0,1,0,0], [0,0,1,0.4], [0,0,0,1]]}
+
+Pixel centres at + 0.5; camera axes OpenCV; metres. Say `recon_from_camera` for a pose in the reconstruction frame; for a \
+PLY its world is meant by either.";
+
 /// From where, and what is written.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ViewArgs {
     /// Camera file: JSON, one camera or a list of them.
-    ///
-    /// {"name": "view", "width": 280, "height": 154, "intrinsics": {"fx": 116, "fy": 116, "cx": 140, "cy": 77},
-    /// "base_from_camera": [[1,0,0,0.5],[0,1,0,0],[0,0,1,0.4],[0,0,0,1]]}. Pixel centres at + 0.5; camera axes OpenCV;
-    /// metres. Say `recon_from_camera` for a pose in the reconstruction frame; for a PLY its world is meant by either.
-    #[arg(long, value_name = "JSON")]
+    #[arg(long, value_name = "JSON", long_help = CAMERA_HELP)]
     camera: PathBuf,
     /// Folder for the pictures; made when missing.
     #[arg(long, value_name = "DIR")]
@@ -58,7 +63,7 @@ pub(crate) struct ViewArgs {
 #[serde(untagged)]
 enum CameraFile {
     Many(Vec<CameraSpec>),
-    One(CameraSpec),
+    One(Box<CameraSpec>),
 }
 
 #[derive(Debug, Clone, Deserialize)]
@@ -192,7 +197,7 @@ fn read_cameras(path: &Path) -> anyhow::Result<Vec<CameraSpec>> {
     let file = serde_json::from_str(&text).with_context(|| format!("`{}` is no camera file", path.display()))?;
     let cameras = match file {
         CameraFile::Many(cameras) => cameras,
-        CameraFile::One(camera) => vec![camera],
+        CameraFile::One(camera) => vec![*camera],
     };
     ensure!(!cameras.is_empty(), "`{}` holds no camera", path.display());
     for camera in &cameras {
