@@ -67,6 +67,8 @@ pub(crate) fn serve<S: Stage>(grace: Duration) -> ExitCode {
     loop {
         line.clear();
         match stdin.by_ref().take(MAX_LINE).read_until(b'\n', &mut line) {
+            // Whoever sent a signal and then closed the pipe gets the answer to the signal.
+            Ok(0) if sys::signalled() => return ExitCode::from(EXIT_TEMPORARY),
             Ok(0) => return ExitCode::from(EXIT_OK),
             Ok(_) => {}
             Err(error) => {

@@ -6,13 +6,22 @@
 use std::fs::File;
 use std::io::{Read, Write};
 use std::os::fd::{AsRawFd, FromRawFd};
-use std::sync::atomic::{AtomicI32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 
 /// Write end of the pipe that the signal handler writes to; -1 until [`on_termination`] ran.
 static SIGNAL_PIPE: AtomicI32 = AtomicI32::new(-1);
 
-/// Only calls `write`, which is async-signal-safe.
+/// Set by the handler itself, before the thread that acts on the signal has had its turn.
+static SIGNALLED: AtomicBool = AtomicBool::new(false);
+
+/// True once one of the signals of [`on_termination`] has arrived.
+pub(crate) fn signalled() -> bool {
+    SIGNALLED.load(Ordering::SeqCst)
+}
+
+/// Only stores an atomic and calls `write`, which are async-signal-safe.
 extern "C" fn handle_signal(signal: libc::c_int) {
+    SIGNALLED.store(true, Ordering::SeqCst);
     let byte = [signal as u8];
     // SAFETY: the buffer lives on this stack; a bad descriptor only makes `write` fail.
     unsafe { libc::write(SIGNAL_PIPE.load(Ordering::Relaxed), byte.as_ptr().cast(), 1) };
