@@ -12,7 +12,7 @@ pub const LOCK_FILE: &str = ".lock";
 /// The lock of a run folder, held until dropped.
 #[derive(Debug)]
 pub struct RunLock {
-    _file: File,
+    file: File,
 }
 
 impl RunLock {
@@ -30,7 +30,7 @@ impl RunLock {
             .truncate(false)
             .open(&path);
         let mut file = open.map_err(io("cannot open the lock", &path))?;
-        match file.try_lock() {
+        match patiently(&file) {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
                 let mut holder = String::new();
@@ -53,8 +53,26 @@ impl RunLock {
             .and_then(|()| file.rewind())
             .and_then(|()| file.write_all(text.as_bytes()));
         write.map_err(io("cannot write the lock", &path))?;
-        Ok(Self { _file: file })
+        Ok(Self { file })
     }
+}
+
+impl Drop for RunLock {
+    fn drop(&mut self) {
+        // Said aloud, because a child that is just being started may hold a copy of the descriptor for a moment.
+        let _ = self.file.unlock();
+    }
+}
+
+/// Tries for a fifth of a second: `status` holds the lock for the blink in which it looks whether anyone works here.
+fn patiently(file: &File) -> std::result::Result<(), TryLockError> {
+    for _ in 0..10 {
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) => std::thread::sleep(std::time::Duration::from_millis(20)),
+            other => return other,
+        }
+    }
+    file.try_lock()
 }
 
 /// Name of this machine.
