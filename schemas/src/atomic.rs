@@ -57,7 +57,7 @@ pub fn sweep(folder: &Path) -> Result<Vec<PathBuf>> {
         let Some(writer) = path.file_name().and_then(|name| writer_of(name.to_str()?)) else {
             continue;
         };
-        if Path::new("/proc").join(writer.to_string()).exists() {
+        if may_be_writing(writer, &path) {
             continue;
         }
         match std::fs::remove_file(&path) {
@@ -68,6 +68,40 @@ pub fn sweep(folder: &Path) -> Result<Vec<PathBuf>> {
     }
     removed.sort();
     Ok(removed)
+}
+
+/// Whether the process of that number can be the one that writes the file: it runs, and did so before the last change of
+/// the file. Numbers are used again, and a killed process keeps its number until its parent has taken note.
+fn may_be_writing(process: u32, file: &Path) -> bool {
+    let Ok(stat) = std::fs::read_to_string(format!("/proc/{process}/stat")) else {
+        return false;
+    };
+    // `PID (NAME) STATE ...`; the name may hold spaces and parentheses.
+    let Some((_, fields)) = stat.rsplit_once(") ") else {
+        return true;
+    };
+    let fields: Vec<&str> = fields.split(' ').collect();
+    if matches!(fields.first(), Some(&"Z" | &"X")) {
+        return false;
+    }
+    // Field 22 of the whole line: start in hundredths of a second after boot.
+    let started = fields
+        .get(19)
+        .and_then(|ticks| ticks.parse::<f64>().ok())
+        .map(|ticks| ticks / 100.0);
+    let booted = std::fs::read_to_string("/proc/stat").ok().and_then(|stat| {
+        stat.lines()
+            .find_map(|line| line.strip_prefix("btime ")?.trim().parse::<f64>().ok())
+    });
+    let changed = std::fs::metadata(file)
+        .and_then(|metadata| metadata.modified())
+        .ok()
+        .and_then(|time| Some(time.duration_since(std::time::UNIX_EPOCH).ok()?.as_secs_f64()));
+    match (started, booted, changed) {
+        // The boot time is given in whole seconds.
+        (Some(started), Some(booted), Some(changed)) => booted + started <= changed + 2.0,
+        _ => true,
+    }
 }
 
 /// Process number in `.NAME.PID.tmp` or `.NAME.PID-N.tmp`.
@@ -179,6 +213,11 @@ mod tests {
                 ]
             );
             assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 3);
+            // The number is in use, but by a process that began long after the file's last change.
+            let old = std::fs::File::options().write(true).open(folder.join(&mine)).unwrap();
+            old.set_modified(std::time::UNIX_EPOCH + std::time::Duration::from_secs(1))
+                .unwrap();
+            assert_eq!(sweep(&folder).unwrap(), [folder.join(&mine)]);
         }
         std::fs::remove_dir_all(&folder).unwrap();
     }
