@@ -2,7 +2,7 @@
 //!
 //! A layout (own folder, DROID in the Ctrl-World form, LeRobot v2.1 and v3.0) describes and checks an episode without
 //! decoding anything; then the frames of the clip are decoded, resized and written as a
-//! [`Clip`](rogs_schemas::records::clip::Clip). Whatever is wrong with an episode is one error that names file and row.
+//! [`Clip`]. Whatever is wrong with an episode is one error that names file and row.
 //!
 //! [`list_episodes`] finds what a folder holds, [`media_report`] says which videos can be decoded here.
 
@@ -19,6 +19,8 @@ mod params;
 mod resize;
 mod source;
 mod video;
+#[cfg(feature = "libav")]
+mod video_libav;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -3,9 +3,12 @@
 //! Frames are taken by their number, never by time, and decoding stops behind the last one needed. The programs read
 //! one local file in a known container format and nothing else.
 
+#[cfg(any(not(feature = "libav"), test))]
 use std::io::Read as _;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+#[cfg(any(not(feature = "libav"), test))]
+use std::process::Child;
+use std::process::{Command, Stdio};
 
 use rogs_worker::{StageError, StageResult};
 use serde::Deserialize;
@@ -119,7 +122,7 @@ pub(crate) fn decode(
     path: &Path,
     info: &VideoInfo,
     (first, step, count): (u64, u64, u64),
-    mut take: impl FnMut(u64, &[u8]) -> StageResult<()>,
+    take: impl FnMut(u64, &[u8]) -> StageResult<()>,
 ) -> StageResult<Option<String>> {
     let last = first + (count.max(1) - 1) * step;
     if last >= info.frames {
@@ -128,6 +131,20 @@ pub(crate) fn decode(
             format!("frame {last} is needed but the video has {} frames", info.frames),
         ));
     }
+    #[cfg(feature = "libav")]
+    return crate::video_libav::decode(path, info, (first, step, count), take);
+    #[cfg(not(feature = "libav"))]
+    decode_by_program(path, info, (first, step, count), take)
+}
+
+/// [`decode`] with the program `ffmpeg`.
+#[cfg(any(not(feature = "libav"), test))]
+fn decode_by_program(
+    path: &Path,
+    info: &VideoInfo,
+    (first, step, count): (u64, u64, u64),
+    mut take: impl FnMut(u64, &[u8]) -> StageResult<()>,
+) -> StageResult<Option<String>> {
     let mut command = Command::new("ffmpeg");
     command.args(["-v", "error", "-nostdin", "-xerror", "-noautorotate"]);
     command.args(["-protocol_whitelist", "file", "-format_whitelist", FORMATS]);
@@ -182,8 +199,10 @@ pub(crate) fn decode(
 }
 
 /// A child that does not outlive its owner.
+#[cfg(any(not(feature = "libav"), test))]
 struct Running(Child);
 
+#[cfg(any(not(feature = "libav"), test))]
 impl Drop for Running {
     fn drop(&mut self) {
         // Both fail only when it has ended already.
@@ -223,6 +242,34 @@ fn no_program(name: &str, error: &std::io::Error) -> StageError {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The library gives the frames that the program gives, byte for byte.
+    #[test]
+    #[cfg(feature = "libav")]
+    fn libavcodec_and_the_program_agree() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+        let path = root.join("droid_ctrlworld/new_setup/videos/0007/0.mp4");
+        if !path.exists() {
+            println!("skipped: `{}` is not there", path.display());
+            return;
+        }
+        let info = probe(&path).unwrap();
+        let range = (3, 4, 5);
+        let mut by_library = Vec::new();
+        let mut by_program = Vec::new();
+        crate::video_libav::decode(&path, &info, range, |_, frame| {
+            by_library.push(frame.to_vec());
+            Ok(())
+        })
+        .unwrap();
+        decode_by_program(&path, &info, range, |_, frame| {
+            by_program.push(frame.to_vec());
+            Ok(())
+        })
+        .unwrap();
+        assert_eq!(by_library.len(), 5);
+        assert!(by_library == by_program, "frames differ");
+    }
 
     #[test]
     fn rates_are_fractions() {
