@@ -114,7 +114,9 @@ pub fn score_paths(
     };
     let mut scores = FolderScores {
         ssim_variant: variant.name().to_owned(),
-        lpips_note: lpips.is_none().then(|| "no LPIPS weights were given".to_owned()),
+        lpips_note: lpips
+            .is_none()
+            .then(|| "no LPIPS weights were given (`--lpips FILE`)".to_owned()),
         pairs: Vec::new(),
         psnr: None,
         ssim: None,
@@ -146,6 +148,9 @@ pub fn score_paths(
         |(name, prediction, reference): &(String, PathBuf, PathBuf)| pair(name, prediction, reference, variant, lpips);
     let measured: Vec<Result<PairScores, FolderError>> = pairs.par_iter().map(one).collect();
     scores.pairs = measured.into_iter().collect::<Result<_, _>>()?;
+    if lpips.is_some() && scores.pairs.iter().any(|pair| pair.lpips.is_none()) {
+        scores.lpips_note = Some("images smaller than 16x16 pixels have no LPIPS".to_owned());
+    }
     let average =
         |value: fn(&PairScores) -> Option<f64>| mean(&scores.pairs.iter().filter_map(value).collect::<Vec<_>>());
     (scores.psnr, scores.ssim, scores.lpips) = (average(|p| Some(p.psnr)), average(|p| p.ssim), average(|p| p.lpips));

@@ -12,6 +12,7 @@ pub mod folders;
 pub mod measure;
 pub mod metrics;
 pub mod outside;
+mod perceptual;
 mod stage;
 pub mod summary;
 pub mod tables;

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 use rogs_geometry::{Base, Camera, Pose, Recon};
@@ -18,9 +19,11 @@ use rogs_worker::{Context, Stage, StageError, StageResult};
 use serde::{Deserialize, Serialize};
 
 use crate::measure::{
-    MeasuredImage, PredictedImage, RobotCore, measure_displacement, measure_image, pool_robot_depth, robot_tracks,
+    MeasuredImage, PredictedImage, RobotCore, measure_displacement, measure_image, pool_robot_depth, reference_rgb,
+    robot_tracks,
 };
 use crate::metrics::{DisplacementMap, MIN_BLEND_WEIGHT, MetricError, SsimVariant, TrackSample};
+use crate::perceptual::Perceptual;
 
 /// Which observations the field was made from.
 #[derive(
@@ -78,6 +81,7 @@ pub struct ScoreParams {
 /// The stage `score`.
 pub struct Score {
     params: ScoreParams,
+    lpips: Option<Arc<Perceptual>>,
 }
 
 impl Stage for Score {
@@ -98,10 +102,11 @@ impl Stage for Score {
             input("robot", true, RobotMaps::SCHEMA.name),
             input("field", true, Field::SCHEMA.name),
             input("refinement", false, Refinement::SCHEMA.name),
+            input("lpips", false, "file"),
         ]
     }
 
-    fn load(params: &ScoreParams, _inputs: &BTreeMap<String, PathBuf>) -> StageResult<Self> {
+    fn load(params: &ScoreParams, inputs: &BTreeMap<String, PathBuf>) -> StageResult<Self> {
         if !(params.robot_core.tau_m > 0.0 && params.robot_core.tau_m.is_finite()) {
             let message = format!(
                 "robot_core.tau_m must be a positive length in metres: `{}`",
@@ -109,7 +114,11 @@ impl Stage for Score {
             );
             return Err(StageError::bad_params(message));
         }
-        Ok(Self { params: params.clone() })
+        let lpips = inputs.get("lpips").map(|path| Perceptual::open(path)).transpose()?;
+        Ok(Self {
+            params: params.clone(),
+            lpips,
+        })
     }
 
     fn run(&mut self, context: &mut Context<'_>) -> StageResult<()> {
@@ -142,7 +151,8 @@ impl Stage for Score {
             let fraction = index as f64 / (clip.query_frames.len() + 1) as f64;
             context.progress(fraction, &format!("frame {frame}"));
             let renders = context.timed("render_query", |_| scene.render(frame))?;
-            let measured = context.timed("measure", |_| self.measure(&clip, &robot, frame, &renders))?;
+            let mut measured = context.timed("measure", |_| self.measure(&clip, &robot, frame, &renders))?;
+            context.timed("lpips", |_| self.add_lpips(&clip, &renders, &mut measured, &mut sheet));
             sheet.robot_depth.push(pool_robot_depth(frame, &measured));
             for (render, image) in renders.into_iter().zip(measured) {
                 sheet.invalid_gaussians = sheet.invalid_gaussians.max(render.invalid);
@@ -182,7 +192,10 @@ impl Score {
             method: self.params.method.clone().unwrap_or_else(|| default.to_owned()),
             setting: self.params.setting.name().to_owned(),
             ssim_variant: self.params.ssim.name().to_owned(),
-            lpips_note: Some("no LPIPS weights were given (input `lpips`)".to_owned()),
+            lpips_note: match self.lpips {
+                None => Some("no LPIPS weights were given (input `lpips`)".to_owned()),
+                Some(_) => None,
+            },
             weights: [Some(&field.weights), refinement.map(|refinement| &refinement.weights)]
                 .into_iter()
                 .flatten()
@@ -221,6 +234,21 @@ impl Score {
         };
         let measured: Result<Vec<_>, MetricError> = renders.par_iter().enumerate().map(one).collect();
         measured.map_err(|error| StageError::bad_input(format!("frame {frame}: {error}")))
+    }
+
+    /// Adds LPIPS where there are weights and a reference image. One image after the other: the network uses all threads.
+    fn add_lpips(&self, clip: &Clip, renders: &[ViewRender], measured: &mut [MeasuredImage], sheet: &mut ScoreSheet) {
+        let Some(lpips) = &self.lpips else { return };
+        let (height, width) = (clip.height as usize, clip.width as usize);
+        for (camera, (render, image)) in renders.iter().zip(measured).enumerate() {
+            let Some(reference) = reference_rgb(clip, camera, image.score.frame) else {
+                continue;
+            };
+            match lpips.distance(&render.rgb, reference, height, width) {
+                Ok(distance) => image.score.lpips = Some(distance),
+                Err(why) => sheet.lpips_note = Some(why),
+            }
+        }
     }
 }
 

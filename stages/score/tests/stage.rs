@@ -254,6 +254,15 @@ impl Bench {
         self.keys.insert(role.into(), material.key().to_string());
     }
 
+    /// LPIPS weights of a network two channels wide.
+    fn add_lpips(&mut self) {
+        let path = self.folder.path().join("lpips.safetensors");
+        std::fs::write(&path, narrow_lpips()).unwrap();
+        let hash = rogs_schemas::source::hash_source("lpips", &path).unwrap();
+        self.keys.insert("lpips".into(), hash.to_string());
+        self.inputs.insert("lpips".into(), path);
+    }
+
     fn add_refinement(&mut self) {
         let field = material(
             "field",
@@ -293,6 +302,29 @@ impl Bench {
         let last = serde_json::from_str(text.lines().last().unwrap()).unwrap();
         (last, scores(&output), std::fs::read(&output).unwrap_or_default())
     }
+}
+
+/// A weights file of VGG16's layout, two channels wide, with made-up values.
+fn narrow_lpips() -> Vec<u8> {
+    let value = |seed: usize| ((seed * 37 % 17) as f32 - 7.5) / 10.0;
+    let mut tensors: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
+    let mut add = |name: String, shape: Vec<usize>, values: Vec<f32>| {
+        tensors.push((name, shape, values.iter().flat_map(|v| v.to_le_bytes()).collect()));
+    };
+    for (layer, place) in [0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28].into_iter().enumerate() {
+        let inputs = if layer == 0 { 3 } else { 2 };
+        let weight = (0..2 * inputs * 9).map(|k| value(k + layer)).collect();
+        add(format!("features.{place}.weight"), vec![2, inputs, 3, 3], weight);
+        add(format!("features.{place}.bias"), vec![2], vec![0.1, 0.2]);
+    }
+    for layer in 0..5 {
+        add(format!("lin{layer}.model.1.weight"), vec![1, 2, 1, 1], vec![0.5, 0.25]);
+    }
+    let views = tensors.iter().map(|(name, shape, bytes)| {
+        let view = safetensors::tensor::TensorView::new(safetensors::Dtype::F32, shape.clone(), bytes).unwrap();
+        (name.as_str(), view)
+    });
+    safetensors::serialize(views, None).unwrap()
 }
 
 fn scores(path: &Path) -> Option<Scores> {
@@ -372,6 +404,50 @@ fn a_refinement_is_scored_after_each_of_its_steps() {
     let (event, scores, _) = bench.run(&serde_json::json!({"update": 3}), "2");
     assert!(scores.is_none());
     assert!(event["message"].as_str().unwrap().contains("it holds: 1, 2"), "{event}");
+}
+
+#[test]
+fn lpips_needs_weights_and_changes_nothing_else() {
+    let mut bench = Bench::new(&clip(true));
+    let none = serde_json::json!({});
+    let without = bench.run(&none, "2").1.unwrap();
+    assert!(without.summary.images.iter().all(|image| image.lpips.is_none()));
+    let note = without.summary.lpips_note.clone().unwrap();
+    assert!(note.contains("no LPIPS weights"), "{note}");
+
+    bench.add_lpips();
+    let (event, with, bytes) = bench.run(&none, "2");
+    let mut with = with.unwrap_or_else(|| panic!("no scores: {event}"));
+    assert_eq!(with.summary.lpips_note, None);
+    let weights = &bench.inputs["lpips"];
+    let network = rogs_networks::lpips::Lpips::open(weights).unwrap();
+    let reference = network
+        .features_of_bytes(&[128; HEIGHT * WIDTH * 3], HEIGHT, WIDTH)
+        .unwrap();
+    for (image, render) in with.summary.images.iter().zip(&with.renders) {
+        // The kept render has 8 bits, the scored one has not.
+        let own = network.features_of_bytes(&render.rgb, HEIGHT, WIDTH).unwrap();
+        let expected = network.distance(&own, &reference).unwrap();
+        match image.lpips {
+            Some(lpips) => assert!((lpips - expected).abs() < 0.05 * expected + 1e-5, "{lpips} {expected}"),
+            None => assert_eq!(
+                image.camera, "wrist_right",
+                "only held-out views have no reference here"
+            ),
+        }
+    }
+    assert!(with.summary.images.iter().any(|image| image.lpips > Some(0.0)));
+    assert_eq!(bytes, bench.run(&none, "1").2, "thread count");
+    for image in &mut with.summary.images {
+        image.lpips = None;
+    }
+    assert_eq!(with.summary.images, without.summary.images);
+
+    std::fs::write(weights, b"no weights").unwrap();
+    let (event, scores, _) = bench.run(&none, "2");
+    assert!(scores.is_none());
+    assert!(event["message"].as_str().unwrap().contains("LPIPS weights"), "{event}");
+    assert!(event["hint"].as_str().unwrap().contains("VGG16"), "{event}");
 }
 
 #[test]

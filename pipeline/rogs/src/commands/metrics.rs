@@ -78,6 +78,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
             number(scores.lpips, 4)
         );
     }
+    if let Some(note) = &scores.lpips_note {
+        let _ = writeln!(text, "LPIPS: {note}");
+    }
     for (names, side) in [
         (&scores.only_in_prediction, "prediction"),
         (&scores.only_in_reference, "reference"),
