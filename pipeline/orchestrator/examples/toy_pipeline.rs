@@ -1,8 +1,12 @@
 //! A pipeline of toy stages in one program, as `rogs` is one: `toy_pipeline stage NAME one|worker|describe ...`.
 //!
 //! An episode is a text file `NAME.txt`. Its words make stages misbehave: `fail@lift`, `panic@lift`, `abort@lift`,
-//! `kill@lift`, `hang@lift`, `io@lift` (fails the first time only), `sleep@lift` (a tenth of a second). All records are
+//! `kill@lift`, `hang@lift`, `io@lift` (fails the first time only), `memory@lift` (takes 300 MB). All records are
 //! real ones, small, with pictures in them, so that everything that reads run folders can be tested without the networks.
+//!
+//! Tests that stop a run at a certain moment set `ROGS_TOY_HOLD=CLIP@STAGE@begin|end` and `ROGS_TOY_FOLDER`: the worker
+//! that gets there first writes its process number to `held` in that folder and waits for a file `release`. Every worker
+//! holds a shared lock on the file `alive` there, so that a test can wait until all have ended.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -38,8 +42,51 @@ fn input(role: &str, required: bool, kind: &str) -> InputDescription {
     }
 }
 
+/// Waits where a test wants the run to stand still, once: see the head of this file.
+fn hold(context: &Context<'_>, stage: &str, moment: &str) {
+    let place = format!("{}@{stage}@{moment}", context.clip_id());
+    let (Some(folder), Ok(wanted)) = (hold_folder(), std::env::var("ROGS_TOY_HOLD")) else {
+        return;
+    };
+    if wanted != place {
+        return;
+    }
+    // Complete before it has its name, so that nobody reads half a number.
+    let (number, held) = (folder.join(format!("held-{}", std::process::id())), folder.join("held"));
+    if held.exists() || std::fs::write(&number, std::process::id().to_string()).is_err() {
+        return;
+    }
+    let first = std::fs::hard_link(&number, &held).is_ok();
+    let _ = std::fs::remove_file(&number);
+    while first && !folder.join("release").exists() {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+fn hold_folder() -> Option<PathBuf> {
+    std::env::var_os("ROGS_TOY_FOLDER").map(PathBuf::from)
+}
+
+/// Tells that this worker lives, for as long as it does.
+fn keep_alive_lock() {
+    let open = |folder: PathBuf| std::fs::File::create(folder.join("alive"));
+    if let Some(Ok(file)) = hold_folder().map(open)
+        && file.lock_shared().is_ok()
+    {
+        std::mem::forget(file);
+    }
+}
+
+/// Writes the output, with a moment behind it at which tests may want to stand.
+fn write<T: Record>(context: &mut Context<'_>, stage: &str, record: &T) -> StageResult<()> {
+    context.write(record)?;
+    hold(context, stage, "end");
+    Ok(())
+}
+
 /// Does what the episode's words say for this stage; the words travel in the clip's task.
 fn misbehave(words: &str, stage: &str, context: &Context<'_>) -> StageResult<()> {
+    hold(context, stage, "begin");
     for word in words.split_whitespace() {
         let Some((what, at)) = word.split_once('@') else {
             continue;
@@ -62,7 +109,11 @@ fn misbehave(words: &str, stage: &str, context: &Context<'_>) -> StageResult<()>
                     .status(),
             ),
             "hang" => std::thread::sleep(Duration::from_secs(600)),
-            "sleep" => std::thread::sleep(Duration::from_millis(100)),
+            "memory" => {
+                let block = vec![1_u8; 300 << 20];
+                std::thread::sleep(Duration::from_secs(5));
+                drop(std::hint::black_box(block));
+            }
             "io" => {
                 let marker = std::env::temp_dir().join(format!(
                     "rogs-toy-{}-{}",
@@ -184,7 +235,7 @@ impl Stage for Ingest {
             tracks: None,
         };
         context.progress(0.5, "reading");
-        context.write(&clip)
+        write(context, Self::NAME, &clip)
     }
 }
 
@@ -238,17 +289,21 @@ impl Stage for Maps {
                 support: hit.iter().map(|&hit| u8::from(hit)).collect(),
             }
         };
-        context.write(&RobotMaps {
-            clip_id: clip.clip_id,
-            link_names: vec!["a".into(), "b".into()],
-            base_from_link: vec![RigidPose::IDENTITY; 2 * FRAMES],
-            base_from_camera: vec![RigidPose::IDENTITY; 2 * FRAMES],
-            recon_from_base: RigidPose::IDENTITY,
-            tool_m: vec![0.0; 3 * FRAMES],
-            height: HEIGHT as u32,
-            width: WIDTH as u32,
-            maps: (0..FRAMES).map(map).collect(),
-        })
+        write(
+            context,
+            Self::NAME,
+            &RobotMaps {
+                clip_id: clip.clip_id,
+                link_names: vec!["a".into(), "b".into()],
+                base_from_link: vec![RigidPose::IDENTITY; 2 * FRAMES],
+                base_from_camera: vec![RigidPose::IDENTITY; 2 * FRAMES],
+                recon_from_base: RigidPose::IDENTITY,
+                tool_m: vec![0.0; 3 * FRAMES],
+                height: HEIGHT as u32,
+                width: WIDTH as u32,
+                maps: (0..FRAMES).map(map).collect(),
+            },
+        )
     }
 }
 
@@ -304,14 +359,18 @@ impl Stage for Kappa {
             },
         };
         let views = clip.source_views();
-        context.write(&Conditioning {
-            clip_id: clip.clip_id.clone(),
-            height: clip.height,
-            width: clip.width,
-            view_maps: vec![view; views.len()],
-            views,
-            query_frames: queries,
-        })
+        write(
+            context,
+            Self::NAME,
+            &Conditioning {
+                clip_id: clip.clip_id.clone(),
+                height: clip.height,
+                width: clip.width,
+                view_maps: vec![view; views.len()],
+                views,
+                query_frames: queries,
+            },
+        )
     }
 }
 
@@ -369,22 +428,26 @@ impl Stage for Lift {
             moving_raw: vec![],
         };
         context.warn("the weights are not trained");
-        context.write(&Field {
-            clip_id: clip.clip_id.clone(),
-            frame_count: FRAMES as u32,
-            height: clip.height,
-            width: clip.width,
-            recon_from_base: RigidPose::IDENTITY,
-            weights: weights(),
-            position_m: vec![if self.0.no_anchor { 2.0 } else { 1.0 }; 3 * count],
-            base_raw: vec![self.0.seed as f32; RAW_CHANNELS * count],
-            support: vec![0; count],
-            link: vec![NO_LINK; count],
-            scale_cap_iu: vec![f32::INFINITY; count],
-            slices: clip.field_frames().into_iter().map(slice).collect(),
-            query_state: vec![],
-            views,
-        })
+        write(
+            context,
+            Self::NAME,
+            &Field {
+                clip_id: clip.clip_id.clone(),
+                frame_count: FRAMES as u32,
+                height: clip.height,
+                width: clip.width,
+                recon_from_base: RigidPose::IDENTITY,
+                weights: weights(),
+                position_m: vec![if self.0.no_anchor { 2.0 } else { 1.0 }; 3 * count],
+                base_raw: vec![self.0.seed as f32; RAW_CHANNELS * count],
+                support: vec![0; count],
+                link: vec![NO_LINK; count],
+                scale_cap_iu: vec![f32::INFINITY; count],
+                slices: clip.field_frames().into_iter().map(slice).collect(),
+                query_state: vec![],
+                views,
+            },
+        )
     }
 }
 
@@ -418,17 +481,21 @@ impl Stage for Refine {
         let field: Field = context.read("field")?;
         misbehave(&clip.task, Self::NAME, context)?;
         let field_key = context.input_key("field").unwrap_or_default();
-        context.write(&Refinement {
-            clip_id: clip.clip_id,
-            field_key,
-            gaussian_count: field.len() as u64,
-            updates: 0,
-            preset: "toy".into(),
-            weights: weights(),
-            scale_residual: ScaleResidual::default(),
-            steps: vec![],
-            resume_state: vec![],
-        })
+        write(
+            context,
+            Self::NAME,
+            &Refinement {
+                clip_id: clip.clip_id,
+                field_key,
+                gaussian_count: field.len() as u64,
+                updates: 0,
+                preset: "toy".into(),
+                weights: weights(),
+                scale_residual: ScaleResidual::default(),
+                steps: vec![],
+                resume_state: vec![],
+            },
+        )
     }
 }
 
@@ -496,31 +563,35 @@ impl Stage for Score {
             .into_iter()
             .flat_map(|camera| [(camera, 1), (camera, 2)])
             .collect();
-        context.write(&Scores {
-            summary: ScoreSheet {
-                clip_id: clip.clip_id.clone(),
-                method: self.0.method.clone(),
-                setting: self.0.setting.clone(),
-                ssim_variant: "toy".into(),
-                lpips_note: Some("no weights".into()),
-                weights: vec![field.weights],
-                images: pairs.iter().map(|&(camera, frame)| image(camera, frame)).collect(),
-                tracks: vec![TrackScore {
-                    anchor: 0,
-                    frame: 2,
-                    epe_mm: None,
-                    n_tracks: 0,
-                }],
-                robot_depth: vec![RobotDepthScore {
-                    frame: 2,
-                    robot_depth_mm: Some(12.5),
-                    core_n: 40,
-                }],
-                n_empty_support: 0,
-                invalid_gaussians: 0,
+        write(
+            context,
+            Self::NAME,
+            &Scores {
+                summary: ScoreSheet {
+                    clip_id: clip.clip_id.clone(),
+                    method: self.0.method.clone(),
+                    setting: self.0.setting.clone(),
+                    ssim_variant: "toy".into(),
+                    lpips_note: Some("no weights".into()),
+                    weights: vec![field.weights],
+                    images: pairs.iter().map(|&(camera, frame)| image(camera, frame)).collect(),
+                    tracks: vec![TrackScore {
+                        anchor: 0,
+                        frame: 2,
+                        epe_mm: None,
+                        n_tracks: 0,
+                    }],
+                    robot_depth: vec![RobotDepthScore {
+                        frame: 2,
+                        robot_depth_mm: Some(12.5),
+                        core_n: 40,
+                    }],
+                    n_empty_support: 0,
+                    invalid_gaussians: 0,
+                },
+                renders: pairs.iter().map(|&(camera, frame)| render(camera, frame)).collect(),
             },
-            renders: pairs.iter().map(|&(camera, frame)| render(camera, frame)).collect(),
-        })
+        )
     }
 }
 
@@ -572,6 +643,12 @@ fn main() -> ExitCode {
     }
     let stage = arguments.remove(1).to_string_lossy().into_owned();
     arguments.remove(0);
+    if arguments
+        .first()
+        .is_some_and(|face| face == "worker" || face == "batch")
+    {
+        keep_alive_lock();
+    }
     match stage.as_str() {
         "ingest" if arguments.first().is_some_and(|word| word == "list") => match list(Path::new(&arguments[1])) {
             Ok(text) => {

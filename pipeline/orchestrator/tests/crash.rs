@@ -23,7 +23,51 @@ impl Random {
     }
 }
 
-fn orchestrator(workspace: &Workspace, workers: u32) -> Child {
+/// A moment in a run at which a worker stands still until it is released or killed.
+struct Hold {
+    folder: tempfile::TempDir,
+    place: String,
+}
+
+impl Hold {
+    /// At the begin or end of a stage of a clip: `a@lift@begin`. An empty place holds nothing.
+    fn at(place: &str) -> Self {
+        Self {
+            folder: tempfile::tempdir().unwrap(),
+            place: place.to_owned(),
+        }
+    }
+
+    /// Waits until a worker stands there and returns its process number; `None` when the run ended without that.
+    fn reached(&self, run: &mut Child) -> Option<String> {
+        let held = self.folder.path().join("held");
+        wait_until("a worker to get to its place", || {
+            held.exists() || run.try_wait().unwrap().is_some()
+        });
+        std::fs::read_to_string(held).ok()
+    }
+
+    fn release(&self) {
+        std::fs::write(self.folder.path().join("release"), "").unwrap();
+    }
+
+    /// Waits until no worker of this run lives any more: those of a killed orchestrator end by themselves.
+    fn wait_for_workers(&self) {
+        let file = std::fs::File::create(self.folder.path().join("alive")).unwrap();
+        wait_until("the last worker to end", || file.try_lock().is_ok());
+    }
+}
+
+/// Waits for something that happens on any machine, however slow; the limit only turns a hang into a failure.
+fn wait_until(what: &str, mut happened: impl FnMut() -> bool) {
+    let start = Instant::now();
+    while !happened() {
+        assert!(start.elapsed() < Duration::from_secs(120), "waited in vain for {what}");
+        std::thread::sleep(Duration::from_millis(3));
+    }
+}
+
+fn orchestrator(workspace: &Workspace, workers: u32, hold: &Hold) -> Child {
     let manifest = workspace.path("toy.toml");
     let mut command = Command::new(example("toy_pipeline"));
     command
@@ -31,6 +75,8 @@ fn orchestrator(workspace: &Workspace, workers: u32) -> Child {
         .arg(manifest)
         .args([workers.to_string(), "1".to_owned()]);
     command
+        .env("ROGS_TOY_HOLD", &hold.place)
+        .env("ROGS_TOY_FOLDER", hold.folder.path())
         .process_group(0)
         .stdin(Stdio::null())
         .stdout(Stdio::null())
@@ -38,119 +84,110 @@ fn orchestrator(workspace: &Workspace, workers: u32) -> Child {
     command.spawn().unwrap()
 }
 
+/// Sends a signal through the shell, whose `kill` is there on every machine.
 fn send(signal: &str, target: &str) {
-    let _ = Command::new("kill")
-        .args([signal, "--", target])
+    let _ = Command::new("sh")
+        .args(["-c", &format!("kill -s {signal} -- {target}")])
         .stderr(Stdio::null())
         .status();
 }
 
-/// Process numbers of the workers of an orchestrator.
-fn children(parent: u32) -> Vec<u32> {
-    let mut found = Vec::new();
-    for entry in std::fs::read_dir("/proc").into_iter().flatten().flatten() {
-        let Ok(id) = entry.file_name().to_string_lossy().parse::<u32>() else {
-            continue;
-        };
-        let stat = std::fs::read_to_string(entry.path().join("stat")).unwrap_or_default();
-        // The parent is the second field behind the name, which stands in parentheses.
-        let after = stat
-            .rsplit_once(')')
-            .map(|(_, after)| after.to_owned())
-            .unwrap_or_default();
-        if after.split_whitespace().nth(1).and_then(|field| field.parse().ok()) == Some(parent) {
-            found.push(id);
-        }
-    }
-    found
-}
-
 fn wait(mut child: Child, what: &str) -> ExitStatus {
-    let start = Instant::now();
-    loop {
-        if let Some(status) = child.try_wait().unwrap() {
-            return status;
-        }
-        assert!(start.elapsed() < Duration::from_secs(120), "{what} does not end");
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    wait_until(what, || child.try_wait().unwrap().is_some());
+    child.wait().unwrap()
 }
 
-/// Waits until no process holds the workspace any more: workers of a killed orchestrator end by themselves.
-fn wait_for_workers(workspace: &Workspace) {
-    let place = workspace.path("").display().to_string();
-    let start = Instant::now();
-    let busy = || {
-        let entries = std::fs::read_dir("/proc").into_iter().flatten().flatten();
-        let opens = |folder: &Path| {
-            std::fs::read_dir(folder.join("fd"))
-                .into_iter()
-                .flatten()
-                .flatten()
-                .any(|fd| std::fs::read_link(fd.path()).is_ok_and(|file| file.to_string_lossy().starts_with(&place)))
-        };
-        entries
-            .filter(|entry| {
-                entry
-                    .file_name()
-                    .to_string_lossy()
-                    .parse::<u32>()
-                    .is_ok_and(|id| id != std::process::id())
-            })
-            .any(|entry| opens(&entry.path()))
-    };
-    while busy() {
-        assert!(
-            start.elapsed() < Duration::from_secs(30),
-            "a worker outlives its orchestrator"
-        );
-        std::thread::sleep(Duration::from_millis(5));
-    }
+/// Runs to the end without being disturbed.
+fn finish(workspace: &Workspace, workers: u32) -> ExitStatus {
+    wait(orchestrator(workspace, workers, &Hold::at("")), "a run to end")
 }
 
-/// Kills in `rounds` rounds, each time something else at another moment, then lets the run finish.
+/// Output files of a clip with the stages that make them.
+const OUTPUTS: [(&str, &str); 7] = [
+    ("clip.r4c", "ingest"),
+    ("robot.r4c", "robot-maps"),
+    ("conditioning.r4c", "conditioning"),
+    ("field-1.r4c", "lift"),
+    ("field-2.r4c", "refine"),
+    ("scores-1.r4c", "score"),
+    ("scores-2.r4c", "score"),
+];
+
+/// Kills something in every round - the orchestrator, the worker in hand, everything - while a unit that is still to be
+/// made stands at its begin or its end, and now and then everything at an arbitrary time. Then lets the run finish.
 fn kill_loop(rounds: u64, workers: u32) {
+    let names = ["a", "b", "c", "d"];
     let undisturbed = Workspace::new();
-    for name in ["a", "b", "c", "d"] {
-        undisturbed.episode(name, &format!("{name} sleep@conditioning sleep@refine"));
+    let workspace = Workspace::new();
+    for name in names {
+        undisturbed.episode(name, name);
+        workspace.episode(name, name);
     }
     undisturbed.run();
     let expected = undisturbed.outputs();
-    let workspace = Workspace::new();
     let mut random = Random(42 + u64::from(workers));
-    let mut kills = 0;
     for round in 0..rounds {
-        for name in ["a", "b", "c", "d"] {
-            workspace.episode(name, &format!("{name} sleep@conditioning sleep@refine"));
-        }
-        let child = orchestrator(&workspace, workers);
-        std::thread::sleep(Duration::from_millis(random.below(700)));
-        match random.below(3) {
-            0 => send("-KILL", &child.id().to_string()),
-            1 => children(child.id())
+        let missing = |workspace: &Workspace| -> Vec<String> {
+            let there = workspace.outputs();
+            let units = names
                 .iter()
-                .for_each(|worker| send("-KILL", &worker.to_string())),
-            _ => send("-KILL", &format!("-{}", child.id())),
+                .flat_map(|name| OUTPUTS.map(|(file, stage)| (name, file, stage)));
+            units
+                .filter(|(name, file, _)| !there.contains_key(Path::new(&format!("clips/{name}/{file}"))))
+                .map(|(name, _, stage)| format!("{name}@{stage}"))
+                .collect()
+        };
+        let mut places = missing(&workspace);
+        if places.is_empty() {
+            std::fs::remove_dir_all(workspace.run_folder()).unwrap();
+            places = missing(&workspace);
         }
-        let status = wait(child, "a killed orchestrator");
-        kills += u64::from(status.signal() == Some(9));
-        wait_for_workers(&workspace);
+        let place = &places[random.below(places.len() as u64) as usize];
+        let moment = ["begin", "end"][random.below(2) as usize];
+        let hold = Hold::at(&if round % 4 == 3 {
+            String::new()
+        } else {
+            format!("{place}@{moment}")
+        });
+        let mut child = orchestrator(&workspace, workers, &hold);
+        let group = format!("-{}", child.id());
+        if round % 4 == 3 {
+            std::thread::sleep(Duration::from_millis(random.below(400)));
+            send("KILL", &group);
+            wait(child, "a killed group to end");
+        } else {
+            let worker = hold.reached(&mut child).expect("the unit is still to be made");
+            match round % 4 {
+                0 => {
+                    send("KILL", &child.id().to_string());
+                    assert_eq!(wait(child, "a killed orchestrator to end").signal(), Some(9));
+                }
+                1 => {
+                    send("KILL", &worker);
+                    // The orchestrator goes on, with another worker.
+                    assert_eq!(wait(child, "a run whose worker was killed").code(), Some(0), "{place}");
+                    assert!(workspace.outputs() == expected, "round {round}");
+                }
+                _ => {
+                    send("KILL", &format!("{group} {worker}"));
+                    assert_eq!(wait(child, "a killed group to end").signal(), Some(9));
+                }
+            }
+        }
+        hold.release();
+        hold.wait_for_workers();
         // Whatever lies there is whole: a reader never meets half a file.
         for (name, bytes) in workspace.outputs() {
             assert!(expected[&name] == bytes, "round {round}: `{}` differs", name.display());
         }
-        if round % 4 == 3 {
-            // Start afresh, so that kills hit every phase of a run.
-            std::fs::remove_dir_all(workspace.run_folder()).unwrap();
-        }
     }
-    assert!(kills > 0);
-    let status = wait(orchestrator(&workspace, workers), "the last run");
-    assert_eq!(status.code(), Some(0));
+    assert_eq!(finish(&workspace, workers).code(), Some(0));
     assert!(
         workspace.outputs() == expected,
         "the tree of outputs is that of an undisturbed run"
     );
+    let folder = workspace.run_folder();
+    rogs_orchestrator::gc::collect(&folder, false).unwrap();
     assert!(workspace.temporaries().is_empty(), "{:?}", workspace.temporaries());
 }
 
@@ -170,16 +207,13 @@ fn a_hundred_kills_lose_nothing() {
 #[test]
 fn what_is_done_is_not_made_again_after_a_kill() {
     let workspace = Workspace::new();
-    workspace.episode("b", "sleep@refine sleep@lift sleep@score");
-    let child = orchestrator(&workspace, 1);
-    let start = Instant::now();
-    while workspace.outputs().len() < 5 {
-        assert!(start.elapsed() < Duration::from_secs(60));
-        std::thread::sleep(Duration::from_millis(2));
-    }
-    send("-KILL", &child.id().to_string());
-    wait(child, "a killed orchestrator");
-    wait_for_workers(&workspace);
+    let hold = Hold::at("b@refine@begin");
+    let mut child = orchestrator(&workspace, 1, &hold);
+    hold.reached(&mut child).expect("the unit is still to be made");
+    send("KILL", &child.id().to_string());
+    wait(child, "a killed orchestrator to end");
+    hold.release();
+    hold.wait_for_workers();
     let times = || {
         let mut times = Vec::new();
         walk(&workspace.run_folder(), &mut |path| {
@@ -191,6 +225,7 @@ fn what_is_done_is_not_made_again_after_a_kill() {
     };
     let before = times();
     let done = before.len();
+    assert!(done >= 4, "what the held unit needs is there: {before:?}");
     let summary = workspace.run();
     assert_eq!((summary.units.up_to_date, summary.units.made), (done, 21 - done));
     let after = times();
@@ -204,16 +239,15 @@ fn what_is_done_is_not_made_again_after_a_kill() {
 fn one_interrupt_drains_and_the_same_command_goes_on() {
     let workspace = Workspace::new();
     for name in ["a", "b", "c", "d", "e", "f"] {
-        workspace.episode(name, "sleep@ingest sleep@robot-maps sleep@lift sleep@refine");
+        workspace.episode(name, name);
     }
-    let child = orchestrator(&workspace, 2);
-    let start = Instant::now();
-    while workspace.outputs().is_empty() {
-        assert!(start.elapsed() < Duration::from_secs(60));
-        std::thread::sleep(Duration::from_millis(2));
-    }
-    send("-INT", &child.id().to_string());
-    assert_eq!(wait(child, "an interrupted orchestrator").code(), Some(75));
+    let hold = Hold::at("f@lift@begin");
+    let mut child = orchestrator(&workspace, 2, &hold);
+    hold.reached(&mut child).expect("the unit is still to be made");
+    send("INT", &child.id().to_string());
+    hold.release();
+    assert_eq!(wait(child, "an interrupted orchestrator to end").code(), Some(75));
+    hold.wait_for_workers();
     assert!(workspace.temporaries().is_empty());
     let status = status::status(&workspace.run_folder()).unwrap();
     assert!(
@@ -230,24 +264,14 @@ fn one_interrupt_drains_and_the_same_command_goes_on() {
 #[test]
 fn the_second_orchestrator_is_refused_with_its_own_exit_code() {
     let workspace = Workspace::new();
-    workspace.episode("a", "hang@lift");
-    let first = orchestrator(&workspace, 1);
-    let start = Instant::now();
-    while !workspace.run_folder().join("clips/a/conditioning.r4c").exists() {
-        assert!(start.elapsed() < Duration::from_secs(60));
-        std::thread::sleep(Duration::from_millis(2));
-    }
+    let hold = Hold::at("a@lift@begin");
+    let mut first = orchestrator(&workspace, 1, &hold);
+    hold.reached(&mut first).expect("the unit is still to be made");
     assert!(status::status(&workspace.run_folder()).unwrap().active);
-    assert_eq!(
-        wait(orchestrator(&workspace, 1), "the second orchestrator").code(),
-        Some(4)
-    );
-    send("-KILL", &first.id().to_string());
-    wait(first, "the first orchestrator");
-    wait_for_workers(&workspace);
-    workspace.episode("a", "well again");
-    assert_eq!(
-        wait(orchestrator(&workspace, 1), "the third orchestrator").code(),
-        Some(0)
-    );
+    assert_eq!(finish(&workspace, 1).code(), Some(4));
+    send("KILL", &first.id().to_string());
+    wait(first, "a killed orchestrator to end");
+    hold.release();
+    hold.wait_for_workers();
+    assert_eq!(finish(&workspace, 1).code(), Some(0));
 }
