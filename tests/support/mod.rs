@@ -107,8 +107,9 @@ impl Workspace {
 }
 
 fn names(folder: &Path, out: &mut Vec<PathBuf>) {
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
+    // A folder that is not there yet holds nothing; files may come and go while a run goes on.
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let path = entry.path();
         if path.is_dir() {
             names(&path, out);
         } else {

@@ -104,8 +104,8 @@ fn misbehave(words: &str, stage: &str, context: &Context<'_>) -> StageResult<()>
             "panic" => panic!("a panic in {stage}"),
             "abort" => std::process::abort(),
             "kill" => drop(
-                std::process::Command::new("kill")
-                    .args(["-KILL", &std::process::id().to_string()])
+                std::process::Command::new("sh")
+                    .args(["-c", &format!("kill -s KILL {}", std::process::id())])
                     .status(),
             ),
             "hang" => std::thread::sleep(Duration::from_secs(600)),

@@ -132,8 +132,16 @@ fn a_clip_that_hangs_is_given_up_at_its_deadline() {
     let workspace = Workspace::new();
     workspace.episode("c", "hang@refine");
     workspace.manifest("[executor]\ngrace = 0.0\n[executor.deadline]\nrefine = 0.3\n");
-    let summary = workspace.run();
-    assert_eq!((summary.clips.done, summary.clips.failed), (2, 1));
+    // The others would be too slow as well on a machine that is busy enough.
+    let mut prepared = workspace.prepare();
+    prepared.options.only = Some(vec![2]);
+    let summary = prepared.run().unwrap();
+    assert_eq!(
+        (summary.units.made, summary.clips.failed),
+        (5, 1),
+        "{:?}",
+        summary.failures
+    );
     assert!(
         summary.failures[0].message.contains("took longer than 0.3 s"),
         "{:?}",

@@ -11,7 +11,7 @@ use rogs_schemas::protocol::FailureCode;
 use crate::cli::{EXIT_FAILED, EXIT_OK, EXIT_TEMPORARY};
 use crate::error::{StageError, StageResult};
 use crate::job::Runner;
-use crate::serve::{drain_on_signals, draining};
+use crate::serve::{InHand, drain_on_signals, draining};
 use crate::stage::Stage;
 use crate::sys;
 
@@ -49,6 +49,7 @@ pub(crate) fn batch<S: Stage>(arguments: &BatchArguments) -> StageResult<ExitCod
     let mut runner = Runner::<S>::new();
     let mut counts = Counts::default();
     for unit in &units {
+        let _in_hand = InHand::take();
         if draining() {
             counts.temporary += 1;
             break;

@@ -226,11 +226,6 @@ fn remove_temporaries(output: &Path) {
     }
 }
 
-/// True while a job is in hand.
-pub(crate) fn busy() -> bool {
-    lock(&CURRENT).is_some()
-}
-
 /// Gives up the job in hand: removes its temporary file. The process must exit right after.
 pub(crate) fn abandon() {
     if let Some(output) = lock(&CURRENT).as_ref() {

@@ -24,9 +24,28 @@ const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
 /// Set when a termination signal came: no further job is begun.
 static DRAINING: AtomicBool = AtomicBool::new(false);
 
+/// Set from the moment a job is taken until it has been told how it ended.
+static IN_HAND: AtomicBool = AtomicBool::new(false);
+
 /// True once a termination signal came.
 pub(crate) fn draining() -> bool {
     DRAINING.load(Ordering::SeqCst)
+}
+
+/// A job is in hand while this lives: a termination signal gives it its grace period.
+pub(crate) struct InHand;
+
+impl InHand {
+    pub(crate) fn take() -> Self {
+        IN_HAND.store(true, Ordering::SeqCst);
+        Self
+    }
+}
+
+impl Drop for InHand {
+    fn drop(&mut self) {
+        IN_HAND.store(false, Ordering::SeqCst);
+    }
 }
 
 /// On TERM, USR1 or INT: no new job; the one in hand has `grace` to finish, then it is abandoned. Exits 75 at once
@@ -37,7 +56,7 @@ pub(crate) fn drain_on_signals(grace: Duration) -> std::io::Result<()> {
         DRAINING.store(true, Ordering::SeqCst);
         let repeated = deadline.is_some();
         let until = *deadline.get_or_insert_with(|| Instant::now() + grace);
-        while job::busy() && !repeated && Instant::now() < until {
+        while IN_HAND.load(Ordering::SeqCst) && !repeated && Instant::now() < until {
             std::thread::sleep(Duration::from_millis(20));
         }
         job::abandon();
@@ -79,6 +98,7 @@ pub(crate) fn serve<S: Stage>(grace: Duration) -> ExitCode {
         if line.trim_ascii().is_empty() {
             continue;
         }
+        let _in_hand = InHand::take();
         if draining() {
             return ExitCode::from(EXIT_TEMPORARY);
         }

@@ -155,7 +155,7 @@ impl WorkerProcess {
     /// Waits for a worker whose events are closed; kills it when it lingers.
     pub(super) fn reap(&mut self) -> Option<ExitStatus> {
         self.stdin = None;
-        for _ in 0..200 {
+        for _ in 0..1000 {
             if let Ok(Some(status)) = self.child.try_wait() {
                 return Some(status);
             }
