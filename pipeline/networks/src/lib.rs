@@ -13,6 +13,7 @@ mod kernels;
 pub mod lpips;
 pub mod ops;
 pub mod parameters;
+pub mod render;
 pub mod stage1;
 pub mod stage2;
 

@@ -57,7 +57,10 @@ pub mod sh;
 mod simd;
 mod tile;
 
-pub use backward::{Gradients, RenderGradient, Tape, backward, backward_into, render_with_tape};
+pub use backward::{
+    Gradients, PoseGradient, RenderGradient, Tape, backward, backward_into, backward_views, render_views_with_tape,
+    render_with_tape,
+};
 pub use camera::{Camera, Mode, RasterConfig};
 pub use contributions::{
     Contributions, Eligible, pool_in_parts, render_views_with_contributions, render_with_contributions,

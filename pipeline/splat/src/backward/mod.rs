@@ -7,6 +7,9 @@
 
 mod chain;
 mod tile;
+mod views;
+
+pub use views::{PoseGradient, backward_views, render_views_with_tape};
 
 use rayon::prelude::*;
 
