@@ -6,6 +6,7 @@ pub mod episode;
 pub mod error;
 pub mod key;
 pub mod ledger;
+mod memory;
 pub mod pose;
 pub mod protocol;
 pub mod r4c;

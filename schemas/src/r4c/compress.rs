@@ -1,10 +1,13 @@
 //! Compressing and decompressing one chunk.
 
 use std::borrow::Cow;
+use std::cell::RefCell;
+use std::collections::TryReserveError;
 
 use zstd::bulk::{Compressor, Decompressor};
 
 use super::stream::{Codec, Dtype};
+use super::transpose;
 
 /// Level of every frame. Level 6 costs much time for nothing (`performance.md` section 7).
 const LEVEL: i32 = 3;
@@ -72,16 +75,69 @@ pub(crate) fn is_constant(bytes: &[u8], size: usize) -> bool {
     bytes.len() > size && bytes[size..] == bytes[..bytes.len() - size]
 }
 
-/// Buffers and zstd contexts of one thread, used again from chunk to chunk.
+/// Buffers and zstd contexts of one thread, used again from chunk to chunk: fresh memory and fresh contexts cost as much
+/// as the decompression itself.
 #[derive(Default)]
 pub(crate) struct Scratch {
-    planes: Vec<u8>,
+    stored: Buffer,
+    planes: Buffer,
     deltas: Vec<u8>,
     compressor: Option<Compressor<'static>>,
     decompressor: Option<Decompressor<'static>>,
 }
 
+/// Memory that grows when it must and is not cleared between uses.
+#[derive(Default)]
+pub(crate) struct Buffer(Vec<u8>);
+
+impl Buffer {
+    /// That many bytes of whatever was there before; an error instead of an abort when there is no memory.
+    pub(crate) fn take(&mut self, length: usize) -> std::result::Result<&mut [u8], TryReserveError> {
+        if self.0.len() < length {
+            // Nothing is worth copying to a larger place.
+            self.0.clear();
+            self.0.try_reserve_exact(length)?;
+            self.0.resize(length, 0);
+        }
+        Ok(&mut self.0[..length])
+    }
+}
+
+/// Largest buffer that a thread keeps from one chunk to the next.
+const KEPT: usize = 16 << 20;
+
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
+}
+
+/// Runs `work` with the buffers of this thread.
+pub(crate) fn with_scratch<R>(work: impl FnOnce(&mut Scratch) -> R) -> R {
+    // Taken out, so that work inside of work finds other ones instead of a locked cell.
+    let mut scratch = SCRATCH.take();
+    let result = work(&mut scratch);
+    let Scratch {
+        stored, planes, deltas, ..
+    } = &mut scratch;
+    for buffer in [&mut stored.0, &mut planes.0, deltas] {
+        if buffer.capacity() > KEPT {
+            *buffer = Vec::new();
+        }
+    }
+    SCRATCH.set(scratch);
+    result
+}
+
 impl Scratch {
+    /// The memory for stored bytes, to be given back with [`Scratch::give_back`].
+    pub(crate) fn stored(&mut self) -> Buffer {
+        std::mem::take(&mut self.stored)
+    }
+
+    /// Keeps what [`Scratch::stored`] handed out.
+    pub(crate) fn give_back(&mut self, stored: Buffer) {
+        self.stored = stored;
+    }
+
     /// The compressed form of a chunk's bytes, or `None` when it would not be smaller.
     pub(crate) fn compress(
         &mut self,
@@ -98,26 +154,28 @@ impl Scratch {
             Codec::Raw => return Ok(None),
             Codec::Zstd => bytes,
             Codec::ShuffleZstd | Codec::PlanesZstd => {
-                shuffle(bytes, stride, &mut self.planes);
-                &self.planes
+                let planes = self.planes.take(bytes.len())?;
+                transpose::shuffle(bytes, stride, planes);
+                planes
             }
             Codec::DeltaShuffleZstd => {
                 self.deltas.clear();
                 self.deltas.extend_from_slice(bytes);
                 delta(&mut self.deltas, dtype.size());
-                shuffle(&self.deltas, stride, &mut self.planes);
-                &self.planes
+                let planes = self.planes.take(bytes.len())?;
+                transpose::shuffle(&self.deltas, stride, planes);
+                planes
             }
         };
         let stored = if codec == Codec::PlanesZstd {
-            compress_planes(compressor, input, stride)?
+            compress_planes(compressor, &mut self.stored, input, stride)?
         } else {
             compressor.compress(input)?
         };
         Ok((stored.len() < bytes.len()).then_some(stored))
     }
 
-    /// Decompresses a chunk into `out`, whose length is the decoded length.
+    /// Decompresses a chunk into `out`, whose length is the decoded length, and returns the CRC-32C of `out`.
     pub(crate) fn decompress(
         &mut self,
         codec: Codec,
@@ -125,13 +183,13 @@ impl Scratch {
         stride: usize,
         stored: &[u8],
         out: &mut [u8],
-    ) -> Result<(), String> {
+    ) -> Result<u32, String> {
         if codec == Codec::Raw {
             if stored.len() != out.len() {
                 return Err(format!("{} stored bytes for {} decoded ones", stored.len(), out.len()));
             }
             out.copy_from_slice(stored);
-            return Ok(());
+            return Ok(crc32c::crc32c(out));
         }
         let decompressor = match &mut self.decompressor {
             Some(decompressor) => decompressor,
@@ -141,47 +199,66 @@ impl Scratch {
             return decompress_planes(decompressor, &mut self.planes, stride, stored, out);
         }
         check_frame(stored, out.len())?;
-        if codec == Codec::Zstd {
-            return decompress_exactly(decompressor, stored, out);
+        if !out.len().is_multiple_of(stride) {
+            return Err(format!("{} bytes are no planes of stride {stride}", out.len()));
         }
-        self.planes.clear();
-        self.planes
-            .try_reserve_exact(out.len())
-            .map_err(|error| error.to_string())?;
-        self.planes.resize(out.len(), 0);
-        decompress_exactly(decompressor, stored, &mut self.planes)?;
-        let planes: Vec<&[u8]> = self.planes.chunks_exact((out.len() / stride).max(1)).collect();
-        unshuffle(&planes, out);
+        if codec == Codec::Zstd {
+            decompress_exactly(decompressor, stored, out)?;
+            return Ok(crc32c::crc32c(out));
+        }
+        let planes = self.planes.take(out.len()).map_err(|error| error.to_string())?;
+        decompress_exactly(decompressor, stored, planes)?;
+        let planes: Vec<&[u8]> = planes.chunks_exact((out.len() / stride).max(1)).collect();
+        let crc = unshuffle(&planes, out);
         if codec == Codec::DeltaShuffleZstd {
             undelta(out, dtype.size());
+            return Ok(crc32c::crc32c(out));
         }
-        Ok(())
+        Ok(crc)
     }
 }
 
-/// Lengths of the stored planes, then the planes.
-fn compress_planes(compressor: &mut Compressor<'_>, planes: &[u8], stride: usize) -> std::io::Result<Vec<u8>> {
+/// The inverse of the transposition, and the CRC-32C of the bytes, taken while they are in the cache.
+fn unshuffle(planes: &[&[u8]], out: &mut [u8]) -> u32 {
+    let mut crc = 0;
+    transpose::unshuffle(planes, out, |piece| crc = crc32c::crc32c_append(crc, piece));
+    crc
+}
+
+/// Lengths of the stored planes, then the planes. `buffer` is memory to work in.
+fn compress_planes(
+    compressor: &mut Compressor<'_>,
+    buffer: &mut Buffer,
+    planes: &[u8],
+    stride: usize,
+) -> std::io::Result<Vec<u8>> {
     let count = planes.len() / stride;
-    let mut stored = vec![0; 4 * stride];
-    stored.reserve(planes.len());
+    // A plane that does not shrink is copied over what its frame left behind.
+    let room = zstd::zstd_safe::compress_bound(count);
+    let all = buffer.take(4 * stride + planes.len() + room)?;
+    let mut end = 4 * stride;
     for (number, plane) in planes.chunks_exact(count.max(1)).enumerate() {
-        let frame = compressor.compress(plane)?;
-        let smaller = if frame.len() < plane.len() { &frame } else { plane };
+        let mut length = compressor.compress_to_buffer(plane, &mut all[end..end + room])?;
+        if length >= plane.len() {
+            length = plane.len();
+            all[end..end + length].copy_from_slice(plane);
+        }
         // A chunk has at most 2^28 bytes.
-        stored[4 * number..4 * number + 4].copy_from_slice(&(smaller.len() as u32).to_le_bytes());
-        stored.extend_from_slice(smaller);
+        all[4 * number..4 * number + 4].copy_from_slice(&(length as u32).to_le_bytes());
+        end += length;
     }
-    Ok(stored)
+    Ok(all[..end].to_vec())
 }
 
-/// The inverse of [`compress_planes`] and the transposition. Planes stored as they are are not copied in between.
+/// The inverse of [`compress_planes`] and the transposition, with the CRC-32C. Planes stored as they are are not copied
+/// in between.
 fn decompress_planes(
     decompressor: &mut Decompressor<'_>,
-    scratch: &mut Vec<u8>,
+    buffer: &mut Buffer,
     stride: usize,
     stored: &[u8],
     out: &mut [u8],
-) -> Result<(), String> {
+) -> Result<u32, String> {
     let count = out.len() / stride;
     if count == 0 || !out.len().is_multiple_of(stride) {
         return Err(format!("{} bytes are no planes of stride {stride}", out.len()));
@@ -189,13 +266,9 @@ fn decompress_planes(
     let (lengths, mut rest) = stored
         .split_at_checked(4 * stride)
         .ok_or_else(|| "the lengths of the planes are cut off".to_owned())?;
-    scratch.clear();
-    scratch
-        .try_reserve_exact(out.len())
-        .map_err(|error| error.to_string())?;
-    scratch.resize(out.len(), 0);
+    let buffer = buffer.take(out.len()).map_err(|error| error.to_string())?;
     let mut planes: Vec<&[u8]> = Vec::with_capacity(stride);
-    for (length, target) in lengths.as_chunks::<4>().0.iter().zip(scratch.chunks_exact_mut(count)) {
+    for (length, target) in lengths.as_chunks::<4>().0.iter().zip(buffer.chunks_exact_mut(count)) {
         let length = u32::from_le_bytes(*length) as usize;
         let (plane, after) = rest
             .split_at_checked(length)
@@ -212,8 +285,7 @@ fn decompress_planes(
     if !rest.is_empty() {
         return Err(format!("{} bytes are left over behind the planes", rest.len()));
     }
-    unshuffle(&planes, out);
-    Ok(())
+    Ok(unshuffle(&planes, out))
 }
 
 fn new_compressor() -> std::io::Result<Compressor<'static>> {
@@ -265,113 +337,6 @@ fn check_frame(stored: &[u8], decoded: usize) -> Result<(), String> {
     }
 }
 
-/// Elements handled at once by the transposition: a block stays in the first-level cache.
-const BLOCK: usize = 256;
-
-/// Byte transposition: byte `k` of element `i` goes to `k * n + i`. The length is a multiple of the stride.
-fn shuffle(bytes: &[u8], stride: usize, planes: &mut Vec<u8>) {
-    planes.clear();
-    planes.resize(bytes.len(), 0);
-    let count = bytes.len() / stride;
-    for start in (0..count).step_by(BLOCK) {
-        let elements = BLOCK.min(count - start);
-        let block = &bytes[start * stride..(start + elements) * stride];
-        let mut k = 0;
-        // Four bytes of four elements at once, as whole words.
-        while k + 4 <= stride {
-            let mut rest = &mut planes[k * count..(k + 4) * count];
-            let lanes = [0; 4].map(|_| {
-                let (plane, after) = std::mem::take(&mut rest).split_at_mut(count);
-                rest = after;
-                &mut plane[start..start + elements]
-            });
-            shuffle_four(block, stride, k, lanes);
-            k += 4;
-        }
-        for k in k..stride {
-            let plane = &mut planes[k * count + start..][..elements];
-            for (out, element) in plane.iter_mut().zip(block.chunks_exact(stride)) {
-                *out = element[k];
-            }
-        }
-    }
-}
-
-/// Bytes `k..k + 4` of every element of a block to four planes.
-fn shuffle_four(block: &[u8], stride: usize, k: usize, [a, b, c, d]: [&mut [u8]; 4]) {
-    let word = |element: &[u8]| u32::from_le_bytes([element[k], element[k + 1], element[k + 2], element[k + 3]]);
-    let fours = a.as_chunks_mut::<4>().0.iter_mut().zip(b.as_chunks_mut::<4>().0);
-    let fours = fours.zip(c.as_chunks_mut::<4>().0).zip(d.as_chunks_mut::<4>().0);
-    for ((((a, b), c), d), elements) in fours.zip(block.chunks_exact(4 * stride)) {
-        let (one, rest) = elements.split_at(stride);
-        let (two, rest) = rest.split_at(stride);
-        let (three, four) = rest.split_at(stride);
-        let planes = transpose([word(one), word(two), word(three), word(four)]);
-        [*a, *b, *c, *d] = planes.map(u32::to_le_bytes);
-    }
-    let done = a.len() / 4 * 4;
-    for (index, element) in block.chunks_exact(stride).enumerate().skip(done) {
-        (a[index], b[index], c[index], d[index]) = (element[k], element[k + 1], element[k + 2], element[k + 3]);
-    }
-}
-
-/// The 4x4 bytes of four words with rows and columns traded.
-fn transpose([a, b, c, d]: [u32; 4]) -> [u32; 4] {
-    const EVEN: u32 = 0x00ff_00ff;
-    let pairs = |x: u32, y: u32| ((x & EVEN) | ((y & EVEN) << 8), ((x >> 8) & EVEN) | (y & !EVEN));
-    let ((ab_even, ab_odd), (cd_even, cd_odd)) = (pairs(a, b), pairs(c, d));
-    let low = |x: u32, y: u32| (x & 0xffff) | (y << 16);
-    let high = |x: u32, y: u32| (x >> 16) | (y & 0xffff_0000);
-    [
-        low(ab_even, cd_even),
-        low(ab_odd, cd_odd),
-        high(ab_even, cd_even),
-        high(ab_odd, cd_odd),
-    ]
-}
-
-/// The inverse of [`shuffle`], from one slice a plane.
-fn unshuffle(planes: &[&[u8]], out: &mut [u8]) {
-    let stride = planes.len();
-    if stride == 0 {
-        return;
-    }
-    for (number, block) in out.chunks_mut(BLOCK * stride).enumerate() {
-        let start = number * BLOCK;
-        let elements = block.len() / stride;
-        let (fours, ones) = planes.as_chunks::<4>();
-        for (group, four) in fours.iter().enumerate() {
-            unshuffle_four(
-                four.map(|plane| &plane[start..start + elements]),
-                block,
-                stride,
-                4 * group,
-            );
-        }
-        for (k, plane) in (4 * fours.len()..).zip(ones) {
-            for (element, &byte) in block.chunks_exact_mut(stride).zip(&plane[start..]) {
-                element[k] = byte;
-            }
-        }
-    }
-}
-
-/// Four planes to bytes `k..k + 4` of every element of a block.
-fn unshuffle_four([a, b, c, d]: [&[u8]; 4], block: &mut [u8], stride: usize, k: usize) {
-    let fours = a.as_chunks::<4>().0.iter().zip(b.as_chunks::<4>().0);
-    let fours = fours.zip(c.as_chunks::<4>().0).zip(d.as_chunks::<4>().0);
-    for ((((a, b), c), d), elements) in fours.zip(block.chunks_exact_mut(4 * stride)) {
-        let words = transpose([*a, *b, *c, *d].map(u32::from_le_bytes));
-        for (element, word) in elements.chunks_exact_mut(stride).zip(words) {
-            element[k..k + 4].copy_from_slice(&word.to_le_bytes());
-        }
-    }
-    let done = a.len() / 4 * 4;
-    for (index, element) in block.chunks_exact_mut(stride).enumerate().skip(done) {
-        element[k..k + 4].copy_from_slice(&[a[index], b[index], c[index], d[index]]);
-    }
-}
-
 /// Replaces each integer by its difference to the one before (the first by its difference to 0), wrapping.
 fn delta(bytes: &mut [u8], size: usize) {
     let mut before = 0u32;
@@ -406,18 +371,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn transposition_and_differences_have_inverses() {
-        let bytes: Vec<u8> = (0..3001u32)
+    fn differences_have_an_inverse() {
+        let bytes: Vec<u8> = (0..3000u32)
             .map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8)
             .collect();
-        for stride in [1, 2, 3, 4, 8, 12, 44] {
-            let bytes = &bytes[..bytes.len() / stride * stride];
-            let mut planes = Vec::new();
-            shuffle(bytes, stride, &mut planes);
-            let mut back = vec![0; bytes.len()];
-            unshuffle(&planes.chunks(bytes.len() / stride).collect::<Vec<_>>(), &mut back);
-            assert_eq!(back, bytes, "stride {stride}");
-        }
         for size in [1, 2, 4] {
             let mut changed = bytes.clone();
             delta(&mut changed, size);

@@ -5,7 +5,6 @@ use std::path::Path;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::compress::Scratch;
 use super::layout::{FLAG_CONSTANT, IndexEntry};
 use super::reader::Reader;
 use super::stream::{Codec, Dtype, Frame, StreamInfo, Unit};
@@ -86,9 +85,9 @@ pub fn inspect(path: &Path) -> Result<InspectReport> {
     let ranges: Result<Vec<Range>> = reader
         .entries()
         .par_iter()
-        .map_init(Scratch::default, |scratch, entry| {
+        .map(|entry| {
             let mut bytes = reader.buffer::<u8>(entry.decoded as usize)?;
-            reader.decode_chunk(scratch, entry, &mut bytes)?;
+            reader.decode_chunk(entry, &mut bytes)?;
             Ok(range(reader.streams()[entry.stream as usize].dtype, &bytes))
         })
         .collect();

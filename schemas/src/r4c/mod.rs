@@ -25,6 +25,7 @@ mod inspect;
 mod layout;
 mod reader;
 mod stream;
+mod transpose;
 mod writer;
 
 pub use inspect::{ChunkTotals, InspectReport, StreamReport, inspect};

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use serde::de::DeserializeOwned;
 use xxhash_rust::xxh3::xxh3_64;
 
-use super::compress::{self, Scratch};
+use super::compress::{self, Buffer, Scratch};
 use super::content::{ChunkContent, content_hash};
 use super::layout::{
     EDGE, ENTRY_BYTES, FLAG_CONSTANT, Footer, IndexEntry, MAX_BLOCK, MAX_CHUNK, MAX_CHUNKS, MAX_FILE, MIN_FILE,
@@ -71,9 +71,9 @@ pub fn verify(path: &Path) -> Result<FileHeader> {
     let chunks: Result<Vec<ChunkContent>> = reader
         .entries
         .par_iter()
-        .map_init(Scratch::default, |scratch, entry| {
+        .map(|entry| {
             let mut bytes = reader.buffer::<u8>(entry.decoded as usize)?;
-            reader.decode_chunk(scratch, entry, &mut bytes)?;
+            reader.decode_chunk(entry, &mut bytes)?;
             Ok(ChunkContent {
                 stream: entry.stream,
                 coordinates: entry.coordinates,
@@ -314,9 +314,7 @@ impl Reader {
         }
         targets
             .into_par_iter()
-            .map_init(Scratch::default, |scratch, (entry, target)| {
-                self.decode_chunk(scratch, entry, bytemuck::cast_slice_mut(target))
-            })
+            .map(|(entry, target)| self.decode_chunk(entry, bytemuck::cast_slice_mut(target)))
             .collect::<Result<()>>()?;
         Ok(values)
     }
@@ -332,7 +330,7 @@ impl Reader {
             .find(|entry| entry.coordinates == coordinates)
             .ok_or_else(|| self.inconsistent(format!("stream `{}` has no chunk {coordinates:?}", spec.name)))?;
         let mut values = self.buffer::<T>(entry.decoded as usize / size_of::<T>())?;
-        self.decode_chunk(&mut Scratch::default(), entry, bytemuck::cast_slice_mut(&mut values))?;
+        self.decode_chunk(entry, bytemuck::cast_slice_mut(&mut values))?;
         Ok(values)
     }
 
@@ -345,7 +343,7 @@ impl Reader {
         let entry = self.entries_of(number).get(ordinal);
         let entry = entry.ok_or_else(|| self.inconsistent(format!("stream `{name}` has no chunk {ordinal}")))?;
         let mut bytes = self.buffer::<u8>(entry.decoded as usize)?;
-        self.decode_chunk(&mut Scratch::default(), entry, &mut bytes)?;
+        self.decode_chunk(entry, &mut bytes)?;
         Ok(bytes)
     }
 
@@ -364,7 +362,22 @@ impl Reader {
     }
 
     /// Decodes a chunk of bytes whatever its type; `out` has the decoded length.
-    pub(crate) fn decode_chunk(&self, scratch: &mut Scratch, entry: &IndexEntry, out: &mut [u8]) -> Result<()> {
+    pub(crate) fn decode_chunk(&self, entry: &IndexEntry, out: &mut [u8]) -> Result<()> {
+        compress::with_scratch(|scratch| {
+            let mut memory = scratch.stored();
+            let decoded = self.decode_through(scratch, &mut memory, entry, out);
+            scratch.give_back(memory);
+            decoded
+        })
+    }
+
+    fn decode_through(
+        &self,
+        scratch: &mut Scratch,
+        memory: &mut Buffer,
+        entry: &IndexEntry,
+        out: &mut [u8],
+    ) -> Result<()> {
         let info = &self.schema.streams[entry.stream as usize];
         let fail = |check: &str| {
             let place = format!("stream `{}`, chunk {:?}", info.name, entry.coordinates);
@@ -372,8 +385,8 @@ impl Reader {
         };
         // With the padding behind it, which ends at the latest where the schema begins.
         let padded = u64::from(entry.stored).next_multiple_of(8) as usize;
-        let mut stored = self.buffer::<u8>(padded)?;
-        read_at(&self.file, &mut stored, entry.offset).map_err(|source| Error::Io {
+        let stored = memory.take(padded).map_err(|_| self.no_memory())?;
+        read_at(&self.file, stored, entry.offset).map_err(|source| Error::Io {
             action: "reading",
             path: self.path.clone(),
             source,
@@ -385,29 +398,36 @@ impl Reader {
         if xxh3_64(stored) != entry.stored_hash {
             return Err(fail("the checksum of the stored bytes does not match"));
         }
-        if entry.flags & FLAG_CONSTANT != 0 {
+        let crc = if entry.flags & FLAG_CONSTANT != 0 {
             for scalar in out.chunks_exact_mut(stored.len()) {
                 scalar.copy_from_slice(stored);
             }
+            crc32c::crc32c(out)
         } else {
             let codec = Codec::from_number(entry.codec).ok_or_else(|| fail("unknown codec"))?;
             scratch
                 .decompress(codec, info.dtype, info.stride as usize, stored, out)
-                .map_err(|what| fail(&what))?;
-        }
-        if crc32c::crc32c(out) != entry.decoded_crc {
+                .map_err(|what| fail(&what))?
+        };
+        if crc != entry.decoded_crc {
             return Err(fail("the checksum of the decoded bytes does not match"));
         }
         Ok(())
     }
 
     /// A zeroed buffer; an error instead of an abort when there is no memory.
-    pub(crate) fn buffer<T: bytemuck::Zeroable + Clone>(&self, length: usize) -> Result<Vec<T>> {
-        bytemuck::allocation::try_zeroed_vec(length).map_err(|()| Error::Io {
+    pub(crate) fn buffer<T: bytemuck::Pod>(&self, length: usize) -> Result<Vec<T>> {
+        let mut values = bytemuck::allocation::try_zeroed_vec(length).map_err(|()| self.no_memory())?;
+        crate::memory::prefer_large_pages(bytemuck::cast_slice_mut(&mut values));
+        Ok(values)
+    }
+
+    fn no_memory(&self) -> Error {
+        Error::Io {
             action: "finding memory to read",
             path: self.path.clone(),
             source: std::io::Error::from(std::io::ErrorKind::OutOfMemory),
-        })
+        }
     }
 
     fn find(&self, name: &str) -> Result<(u32, &StreamInfo)> {

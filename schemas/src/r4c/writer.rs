@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use xxhash_rust::xxh3::xxh3_64;
 
-use super::compress::{self, Scratch};
+use super::compress;
 use super::content::{ChunkContent, content_hash};
 use super::layout::{
     EDGE, FLAG_CONSTANT, Footer, IndexEntry, MAX_BLOCK, MAX_CHUNK, MAX_CHUNKS, Prologue, align8, blocks_hash, schema_id,
@@ -109,15 +109,9 @@ impl Writer {
         let stored: std::result::Result<Vec<Stored>, String> = chunks
             .par_iter()
             .enumerate()
-            .map_init(Scratch::default, |scratch, (ordinal, (coordinates, elements))| {
-                store(
-                    scratch,
-                    &info,
-                    stream,
-                    ordinal as u32,
-                    *coordinates,
-                    bytemuck::cast_slice(elements),
-                )
+            .map(|(ordinal, (coordinates, elements))| {
+                let bytes = bytemuck::cast_slice(elements);
+                store(&info, stream, ordinal as u32, *coordinates, bytes)
             })
             .collect();
         let stored = stored.map_err(|what| self.inconsistent(what))?;
@@ -217,7 +211,6 @@ pub(crate) fn required_features(streams: &[StreamInfo]) -> u32 {
 }
 
 fn store(
-    scratch: &mut Scratch,
     info: &StreamInfo,
     stream: u32,
     ordinal: u32,
@@ -243,8 +236,8 @@ fn store(
     let (codec, flags, payload) = if compress::is_constant(&canonical, size) {
         (Codec::Raw, FLAG_CONSTANT, canonical[..size].to_vec())
     } else {
-        let compressed = scratch
-            .compress(info.codec, info.dtype, info.stride as usize, &canonical)
+        let stride = info.stride as usize;
+        let compressed = compress::with_scratch(|scratch| scratch.compress(info.codec, info.dtype, stride, &canonical))
             .map_err(|error| format!("{}: {error}", place()))?;
         match compressed {
             Some(compressed) => (info.codec, 0, compressed),
