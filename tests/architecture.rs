@@ -103,6 +103,10 @@ fn dependencies_point_one_way() {
             continue; // the command line carries everything
         }
         for dependency in dependencies {
+            // Training is no step of the pipeline: it streams clips from the generator instead of reading them.
+            if name == "rogs-train" && dependency == "rogs-synth" {
+                continue;
+            }
             assert!(!is_stage(&dependency), "`{name}` depends on the stage `{dependency}`");
             assert!(
                 allowed(&name).contains(&dependency.as_str()),

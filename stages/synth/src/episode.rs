@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 use crate::math::{Draw, rigid_inverse};
 use crate::motion::{Action, draw_motion};
 use crate::render::{LitScene, PreparedMesh, Sensor, View, render_view};
-use crate::robot::{FLANGE_LINK, Robot, RobotState};
+use crate::robot::{FLANGE_LINK, GRIPPER_LINK, Robot, RobotState, TOOL_Z};
 use crate::scene::{Body, Lights, Object, draw_lights, draw_objects, draw_robot_materials, draw_room};
 
 /// Attempts to find objects and a motion that fit together.
@@ -186,6 +186,12 @@ impl Episode {
     #[must_use]
     pub fn base_from_flange(&self, frame: usize) -> DAffine3 {
         self.poses[frame][FLANGE_LINK]
+    }
+
+    /// The tool centre in the base frame at a frame, metres.
+    #[must_use]
+    pub fn tool(&self, frame: usize) -> DVec3 {
+        self.poses[frame][GRIPPER_LINK].transform_point3(DVec3::Z * TOOL_Z)
     }
 
     /// Camera-to-base pose at a frame, as rendered.

@@ -8,6 +8,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::pointwise::exp;
+use super::vectorised;
 
 /// Query rows of a task.
 const ROWS: usize = 128;
@@ -135,7 +136,7 @@ impl PackedAttention<'_> {
             .par_chunks_mut(tokens * size)
             .enumerate()
             .for_each(|(head, result)| {
-                Arch::new().dispatch(
+                vectorised(
                     #[inline(always)]
                     || {
                         for (token, out) in result.chunks_exact_mut(size).enumerate() {
@@ -218,7 +219,7 @@ fn rotate(values: &mut [f32], cosine: &[f32], sine: &[f32]) {
 /// out [m, n] = lhs [m, k] rhs [k, n]; operands come with their row and column strides, `out` with its row stride.
 // The gemm crate takes pointers. Every index it forms is checked against the slices first.
 #[allow(unsafe_code)]
-fn product(
+pub(super) fn product(
     [m, n, k]: [usize; 3],
     out: &mut [f32],
     out_stride: usize,

@@ -1,10 +1,10 @@
 //! The last step of a dense head in one pass: bilinear enlargement, 3x3 convolution, a per-pixel bias (which holds the
 //! position map), ReLU, 1x1 convolution. The enlarged map is never held.
 
-use pulp::Arch;
 use rayon::prelude::*;
 
 use super::conv::{Band, Conv3x3, band_rows};
+use super::vectorised;
 
 /// The weights of the step.
 #[derive(Debug)]
@@ -46,7 +46,7 @@ impl DenseTail {
                     let (upper, share) = row_taps[row];
                     let lower = &plane[(upper + 1).min(rows - 1) * columns..][..columns];
                     let upper = &plane[upper * columns..][..columns];
-                    Arch::new().dispatch(
+                    vectorised(
                         #[inline(always)]
                         || {
                             for ((out, &a), &b) in blended.iter_mut().zip(upper).zip(lower) {
@@ -62,7 +62,7 @@ impl DenseTail {
                 let sums = self.first.band(&band);
                 let pixels = count * width;
                 let mut result = vec![0.0f32; outputs * pixels];
-                Arch::new().dispatch(
+                vectorised(
                     #[inline(always)]
                     || {
                         for (output, &bias) in result.chunks_exact_mut(pixels).zip(&self.bias) {

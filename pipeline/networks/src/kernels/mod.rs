@@ -2,16 +2,20 @@
 //!
 //! They run on plain slices, are vectorised for the instruction set found at run time, and give the same bytes for any
 //! number of threads: work is cut into tasks whose bounds do not depend on the threads, and each task sums in a fixed
-//! order. Tensors that record gradients do not come here (see [`crate::ops`]).
+//! order. Of tensors that record gradients only 3x3 convolutions come here (see [`crate::ops`]).
 
 mod attention;
 mod conv;
+mod convolve;
 mod dense_tail;
 mod extension;
 mod pointwise;
+mod vectorised;
 
 pub(crate) use attention::{HeadNorm, PackedAttention};
 pub(crate) use conv::{After, Conv3x3};
+pub(crate) use convolve::{convolve, usable as differentiable};
 pub(crate) use dense_tail::DenseTail;
 pub(crate) use extension::{read, update, usable};
 pub(crate) use pointwise::{bias_gelu, bias_scale_add};
+pub(crate) use vectorised::vectorised;

@@ -1,7 +1,8 @@
 //! Elementwise functions that the compiler turns into vector code.
 
-use pulp::Arch;
 use rayon::prelude::*;
+
+use super::vectorised;
 
 /// Values of a task.
 const CHUNK: usize = 1 << 14;
@@ -43,7 +44,7 @@ pub(super) fn gelu(x: f32) -> f32 {
 pub(crate) fn bias_gelu(values: &mut [f32], bias: &[f32]) {
     let rows = (CHUNK / bias.len()).max(1);
     values.par_chunks_mut(rows * bias.len()).for_each(|chunk| {
-        Arch::new().dispatch(
+        vectorised(
             #[inline(always)]
             || {
                 for row in chunk.chunks_exact_mut(bias.len()) {
@@ -66,7 +67,7 @@ pub(crate) fn bias_scale_add(values: &mut [f32], bias: &[f32], scale: &[f32], re
         .par_chunks_mut(rows * width)
         .zip(residual.par_chunks(rows * width))
         .for_each(|(chunk, residual)| {
-            Arch::new().dispatch(
+            vectorised(
                 #[inline(always)]
                 || {
                     for (row, residual) in chunk.chunks_exact_mut(width).zip(residual.chunks_exact(width)) {

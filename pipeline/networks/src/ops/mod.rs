@@ -244,8 +244,31 @@ impl Conv {
     }
 
     fn plain(&self, input: Tensor<4>) -> Tensor<4> {
+        let [outputs, inputs, size, _] = self.weight.dims();
+        if size == 1 && self.stride == 1 {
+            return self.pointwise(input, outputs, inputs);
+        }
+        if size == 3 && self.stride == 1 && kernels::differentiable(&input, &self.weight) {
+            let bias = self
+                .bias
+                .clone()
+                .unwrap_or_else(|| Tensor::zeros([outputs], &input.device()));
+            return kernels::convolve(input, self.weight.clone(), bias);
+        }
         let options = ConvOptions::new([self.stride; 2], [self.padding; 2], [1, 1], 1);
         module::conv2d(input, self.weight.clone(), self.bias.clone(), options)
+    }
+
+    /// A 1x1 convolution is a matrix product.
+    fn pointwise(&self, input: Tensor<4>, outputs: usize, inputs: usize) -> Tensor<4> {
+        let [images, _, height, width] = input.dims();
+        let weight = self.weight.clone().reshape([1, outputs, inputs]);
+        let product = weight.matmul(input.reshape([images, inputs, height * width]));
+        let product = match &self.bias {
+            Some(bias) => product + bias.clone().reshape([1, outputs, 1]),
+            None => product,
+        };
+        product.reshape([images, outputs, height, width])
     }
 
     /// The packed weights, if this convolution on this input has a kernel.

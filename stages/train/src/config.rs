@@ -1,0 +1,305 @@
+//! Settings of a training run: one TOML file, every key optional. Defaults are the paper's schedule
+//! (`stage1-network.md` sections 14 and 15).
+
+use std::path::{Path, PathBuf};
+
+use rogs_networks::stage1::Stage1Config;
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result};
+
+/// A Stage-1 training run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Stage1Training {
+    /// Network configuration: `full` or `compact`.
+    pub configuration: String,
+    /// Checkpoint to start from; without one, weights are drawn from the seed.
+    pub start: Option<PathBuf>,
+    /// Seed of weights, data order and dropout.
+    pub seed: u64,
+    /// Updates of the whole schedule.
+    pub steps: u64,
+    /// A checkpoint is written every so many updates.
+    pub checkpoint_every: u64,
+    /// Held-out clips are scored every so many updates.
+    pub evaluate_every: u64,
+    /// Held-out clips that are scored.
+    pub evaluation_clips: u64,
+    /// Where clips come from.
+    pub data: DataSettings,
+    /// What is trained, and how fast.
+    pub optimiser: OptimiserSettings,
+    /// Weights of the losses.
+    pub losses: LossWeights,
+}
+
+/// Clips of a run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DataSettings {
+    /// First seed of the training episodes; clip `i` comes from the episode of seed `first_seed + i`.
+    pub first_seed: u64,
+    /// First seed of the episodes that training never sees.
+    pub held_out_seed: u64,
+    /// Image height and width, pixels; multiples of the patch side.
+    pub size: [u32; 2],
+    /// Frames of a clip.
+    pub clip_frames: u32,
+    /// Fewest and most source times of a clip.
+    pub source_times: [u32; 2],
+    /// Query times of a clip.
+    pub queries: u32,
+    /// Source images of one update: as many clips as fit.
+    pub images_per_step: u32,
+    /// Probability that a clip's conditioning maps are all zero.
+    pub conditioning_dropout: f64,
+    /// Errors of the recorded extrinsics, standard deviations in metres and radians.
+    pub calibration_noise: Option<[f64; 2]>,
+}
+
+/// AdamW with a learning rate per group of parameters.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct OptimiserSettings {
+    /// Peak rate of encoder, aggregator, depth and motion head (or of their low-rank updates).
+    pub rate: f64,
+    /// Peak rate of the attribute heads and the FK branch.
+    pub head_rate: f64,
+    /// Rank of low-rank updates of the attention layers; 0 trains all weights.
+    pub lora_rank: usize,
+    /// Whether encoder and aggregator weights are trained when there are no low-rank updates.
+    pub train_backbone: bool,
+    /// Updates over which the rate rises linearly.
+    pub warmup: u64,
+    /// Decay rates of the two moments.
+    pub betas: [f64; 2],
+    /// Decoupled weight decay.
+    pub weight_decay: f64,
+    /// Largest norm of all gradients together.
+    pub clip: f64,
+}
+
+/// Weights of the losses under the paper's keys.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LossWeights {
+    /// Squared colour error of rendered views.
+    pub movies_mse: f64,
+    /// Squared depth error and its gradient term at the depth head.
+    pub depth_head: f64,
+    /// Absolute log-depth error at the depth head.
+    pub stereo: f64,
+    /// Motion at track pixels.
+    pub track_head: f64,
+    /// Composited displacement at track pixels.
+    pub track_final: f64,
+    /// Distance to the FK displacement at robot pixels.
+    pub fk_head: f64,
+    /// The same of the composited displacement.
+    pub fk_final: f64,
+    /// Absolute rendered depth error at source cameras, millimetres.
+    pub metric_final: f64,
+    /// The same at right eyes.
+    pub metric_right: f64,
+    /// Missing opacity at source cameras.
+    pub coverage: f64,
+    /// The same at right eyes.
+    pub coverage_right: f64,
+}
+
+impl Default for Stage1Training {
+    fn default() -> Self {
+        Self {
+            configuration: "compact".into(),
+            start: None,
+            seed: 73,
+            steps: 3462,
+            checkpoint_every: 100,
+            evaluate_every: 200,
+            evaluation_clips: 8,
+            data: DataSettings::default(),
+            optimiser: OptimiserSettings::default(),
+            losses: LossWeights::default(),
+        }
+    }
+}
+
+impl Default for DataSettings {
+    fn default() -> Self {
+        Self {
+            first_seed: 10_000_000,
+            held_out_seed: 5_000_000,
+            size: [154, 280],
+            clip_frames: 17,
+            source_times: [2, 5],
+            queries: 8,
+            images_per_step: 80,
+            conditioning_dropout: 0.1,
+            calibration_noise: None,
+        }
+    }
+}
+
+impl Default for OptimiserSettings {
+    fn default() -> Self {
+        Self {
+            rate: 4e-5,
+            head_rate: 4e-4,
+            lora_rank: 0,
+            train_backbone: true,
+            warmup: 150,
+            betas: [0.9, 0.95],
+            weight_decay: 0.05,
+            clip: 1.0,
+        }
+    }
+}
+
+impl Default for LossWeights {
+    fn default() -> Self {
+        Self {
+            movies_mse: 1.0,
+            depth_head: 1.0,
+            stereo: 1.04051,
+            track_head: 10.0,
+            track_final: 0.105_593,
+            fk_head: 0.464_340,
+            fk_final: 0.157_137,
+            metric_final: 0.001_829_39,
+            metric_right: 0.004_844_63,
+            coverage: 0.058_967_8,
+            coverage_right: 0.064_852_4,
+        }
+    }
+}
+
+impl LossWeights {
+    /// Whether any loss looks at a rendered view.
+    #[must_use]
+    pub fn renders_views(&self) -> bool {
+        self.movies_mse > 0.0 || self.metric() || self.coverage > 0.0 || self.coverage_right > 0.0
+    }
+
+    /// Whether any loss looks at a composited displacement.
+    #[must_use]
+    pub fn renders_motion(&self) -> bool {
+        self.track_final > 0.0 || self.fk_final > 0.0
+    }
+
+    fn metric(&self) -> bool {
+        self.metric_final > 0.0 || self.metric_right > 0.0
+    }
+
+    fn all(&self) -> [f64; 11] {
+        [
+            self.movies_mse,
+            self.depth_head,
+            self.stereo,
+            self.track_head,
+            self.track_final,
+            self.fk_head,
+            self.fk_final,
+            self.metric_final,
+            self.metric_right,
+            self.coverage,
+            self.coverage_right,
+        ]
+    }
+}
+
+impl Stage1Training {
+    /// Reads a TOML file. A relative `start` is taken from the file's folder.
+    ///
+    /// # Errors
+    /// With line and column where the file cannot be understood, or the setting that is out of range.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
+        let mut settings: Self = toml::from_str(&text).map_err(|error| Error::Configuration {
+            path: path.to_owned(),
+            reason: error.to_string(),
+        })?;
+        if let (Some(start), Some(folder)) = (&settings.start, path.parent()) {
+            settings.start = Some(folder.join(start));
+        }
+        settings.check()?;
+        Ok(settings)
+    }
+
+    /// Checks every setting.
+    ///
+    /// # Errors
+    /// The first setting that is out of its range.
+    pub fn check(&self) -> Result<()> {
+        let network = Stage1Config::by_name(&self.configuration)?;
+        let wrong = |what, value: String, rule| Err(Error::Setting { what, value, rule });
+        if self.steps == 0 || self.checkpoint_every == 0 || self.evaluate_every == 0 {
+            return wrong(
+                "steps",
+                self.steps.to_string(),
+                "at least 1, and so must both intervals be",
+            );
+        }
+        let data = &self.data;
+        let [height, width] = data.size;
+        let patch = network.patch as u32;
+        if height == 0 || width == 0 || height % patch != 0 || width % patch != 0 || height > 2160 || width > 3840 {
+            return wrong(
+                "data.size",
+                format!("{height} x {width}"),
+                "a multiple of the patch side (14)",
+            );
+        }
+        if !(2..=1000).contains(&data.clip_frames) {
+            return wrong("data.clip_frames", data.clip_frames.to_string(), "from 2 to 1000");
+        }
+        let [fewest, most] = data.source_times;
+        if fewest < 1 || fewest > most || most > data.clip_frames {
+            let rule = "at least 1, ascending, at most the frames of a clip";
+            return wrong("data.source_times", format!("{fewest} to {most}"), rule);
+        }
+        if data.queries == 0 || data.queries > data.clip_frames {
+            return wrong(
+                "data.queries",
+                data.queries.to_string(),
+                "from 1 to the frames of a clip",
+            );
+        }
+        if data.images_per_step < 3 * most {
+            let rule = "at least 3 cameras times the most source times";
+            return wrong("data.images_per_step", data.images_per_step.to_string(), rule);
+        }
+        if !(0.0..=1.0).contains(&data.conditioning_dropout) {
+            let value = data.conditioning_dropout.to_string();
+            return wrong("data.conditioning_dropout", value, "a probability");
+        }
+        let optimiser = &self.optimiser;
+        let rates = [optimiser.rate, optimiser.head_rate, optimiser.weight_decay];
+        if rates.iter().any(|rate| !(0.0..=1.0).contains(rate)) || !(optimiser.clip > 0.0) {
+            return wrong(
+                "optimiser",
+                format!("{rates:?}"),
+                "rates from 0 to 1 and a positive clip",
+            );
+        }
+        if optimiser.betas.iter().any(|beta| !(0.0..1.0).contains(beta)) {
+            return wrong("optimiser.betas", format!("{:?}", optimiser.betas), "from 0 to below 1");
+        }
+        if optimiser.lora_rank > network.width {
+            return wrong(
+                "optimiser.lora_rank",
+                optimiser.lora_rank.to_string(),
+                "at most the token width",
+            );
+        }
+        if self
+            .losses
+            .all()
+            .iter()
+            .any(|weight| !weight.is_finite() || *weight < 0.0)
+        {
+            return wrong("losses", format!("{:?}", self.losses.all()), "finite and not negative");
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,124 @@
+//! One differentiable pass of the network over a clip.
+
+use burn::tensor::Tensor;
+use rogs_networks::parameters::from_host;
+use rogs_networks::stage1::decode::{self, DEPTH_RANGE_IU, MotionGates};
+use rogs_networks::stage1::{Attention, HeadKind, SourceFrames, Stage1};
+use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
+
+use crate::error::Result;
+use crate::sample::{Query, Sample};
+
+/// Outputs of a clip. `S` source views.
+pub struct Lifted {
+    /// Logarithm of the head's depth in internal units, before anchoring. `[S, H, W]`
+    pub log_depth: Tensor<3>,
+    /// The head's depth within its range, internal units. `[S, H, W]`
+    pub depth: Tensor<3>,
+    /// Positions after mesh anchoring, internal units. `[S, 3, H, W]`
+    pub position: Tensor<4>,
+    /// Raw base attributes. `[S, 12, H, W]`
+    pub base_raw: Tensor<4>,
+    /// One a query.
+    pub queries: Vec<LiftedQuery>,
+}
+
+/// Outputs of a query time.
+pub struct LiftedQuery {
+    /// Displacement with the FK branch, internal units. `[S, 3, H, W]`
+    pub displacement: Tensor<4>,
+    /// Raw attributes at the query time after the gates. `[S, 12, H, W]`
+    pub raw: Tensor<4>,
+}
+
+/// Runs the network; `conditioned` is false for clips whose conditioning is dropped.
+///
+/// # Errors
+/// When a tensor is missing or has another shape.
+pub fn lift(network: &Stage1, sample: &Sample, conditioned: bool) -> Result<Lifted> {
+    let device = network.parameters.device();
+    let [height, width] = sample.size;
+    let (views, area) = (sample.views.len(), height * width);
+    let images = from_host(sample.images.clone(), [views, 3, height, width], device);
+    let encoded = network.encode(&SourceFrames {
+        images: images.clone(),
+        cameras: sample.cameras.clone(),
+        times: sample.views.iter().map(|&(_, time)| time).collect(),
+        attention: Attention::Joint,
+    })?;
+    let [depth_head, splat_head, motion_head, timed_head] = HeadKind::ALL.map(|kind| network.head(kind));
+    let (depth_head, splat_head) = (depth_head?, splat_head?);
+    let (motion_head, timed_head) = (motion_head?, timed_head?);
+    let branch = network.fk_branch()?;
+    let (grid, size) = (encoded.grid, encoded.size);
+
+    let log_depth = depth_head
+        .forward(&depth_head.projections(None), &encoded.taps, grid, size)
+        .narrow(1, 0, 1);
+    let depth = log_depth.clone().exp().clamp(DEPTH_RANGE_IU[0], DEPTH_RANGE_IU[1]);
+    let robot = from_host(sample.robot.clone(), [views, 1, height, width], device);
+    let mesh = from_host(sample.mesh_depth_iu.clone(), [views, 1, height, width], device);
+    let selected = depth.clone() * (robot.clone() * -1.0 + 1.0) + mesh * robot;
+    let (rays, origins) = rays(sample);
+    let rays = from_host(rays, [views, 3, height, width], device);
+    let position = rays * selected + from_host(origins, [views, 3, 1, 1], device);
+
+    let mut base_raw = splat_head.forward(&splat_head.projections(None), &encoded.taps, grid, size);
+    if let Some(shortcut) = splat_head.shortcut(images) {
+        base_raw = base_raw + shortcut;
+    }
+    let timed_shortcut = timed_head.shortcut(base_raw.clone().narrow(1, 0, 11));
+    let query = |query: &Query| {
+        let time = Some(query.time);
+        let visual = motion_head
+            .forward(&motion_head.projections(time), &encoded.taps, grid, size)
+            .narrow(1, 0, 3);
+        let displacement = match &branch {
+            Some(branch) => {
+                let kappa = if conditioned {
+                    query.kappa.clone()
+                } else {
+                    vec![0.0; KAPPA_CHANNELS * views * area]
+                };
+                visual + branch.forward(from_host(kappa, [views, KAPPA_CHANNELS, height, width], device))
+            }
+            None => visual,
+        };
+        let mut timed = timed_head.forward(&timed_head.projections(time), &encoded.taps, grid, size);
+        if let Some(shortcut) = &timed_shortcut {
+            timed = timed + shortcut.clone();
+        }
+        let raw = decode::gate_attributes(displacement.clone(), base_raw.clone(), timed, MotionGates::default());
+        LiftedQuery { displacement, raw }
+    };
+    let queries = sample.queries.iter().map(query).collect();
+    Ok(Lifted {
+        log_depth: log_depth.squeeze_dim(1),
+        depth: depth.squeeze_dim(1),
+        position,
+        base_raw,
+        queries,
+    })
+}
+
+/// Direction at depth one of every pixel `[S, 3, H, W]`, and the origin of every view `[S, 3]`.
+fn rays(sample: &Sample) -> (Vec<f32>, Vec<f32>) {
+    let [height, width] = sample.size;
+    let area = height * width;
+    let mut rays = vec![0.0; sample.cameras.len() * 3 * area];
+    let mut origins = Vec::new();
+    for (camera, rays) in sample.cameras.iter().zip(rays.chunks_exact_mut(3 * area)) {
+        let at_origin = rogs_networks::stage1::Camera {
+            translation_iu: [0.0; 3],
+            ..*camera
+        };
+        let directions = at_origin.unproject(&vec![1.0; area], height, width);
+        for (pixel, direction) in directions.chunks_exact(3).enumerate() {
+            for axis in 0..3 {
+                rays[axis * area + pixel] = direction[axis];
+            }
+        }
+        origins.extend(camera.translation_iu.map(|value| value as f32));
+    }
+    (rays, origins)
+}

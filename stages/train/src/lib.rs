@@ -1,0 +1,26 @@
+//! Training of the lifting network on procedural clips with exact references.
+//!
+//! [`Trainer`] holds a run between two updates; [`Stream`] makes the clips of each update in the background. Losses of
+//! the network's outputs are differentiated by the framework, losses of renders by the rasteriser's backward pass
+//! ([`renders`]). Everything random follows from the seed and the number of the update, so a resumed run takes the same
+//! course as an uninterrupted one.
+
+pub mod checkpoint;
+pub mod config;
+mod error;
+pub mod evaluate;
+pub mod forward;
+pub mod objective;
+pub mod optimiser;
+pub mod renders;
+mod report;
+pub mod run;
+pub mod sample;
+pub mod start;
+pub mod stream;
+pub mod trainer;
+
+pub use config::Stage1Training;
+pub use error::{Error, Result};
+pub use stream::Stream;
+pub use trainer::{Trainer, UpdateReport};

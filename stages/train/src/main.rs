@@ -1,0 +1,111 @@
+//! `rogs-train`: trains the networks of rogs on procedural clips.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use burn::tensor::Device;
+use clap::{Parser, Subcommand, ValueEnum};
+use rogs_networks::checkpoint::ElementType;
+use rogs_train::checkpoint::{RunFolder, export};
+use rogs_train::{Error, Result, Stage1Training, Trainer, run};
+
+/// Trains the networks of rogs on procedural clips with exact references.
+#[derive(Parser)]
+#[command(version, about)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Trains Stage 1, the lifting network; the same command goes on after a stop.
+    Stage1 {
+        /// TOML file of settings; without one, the paper's schedule for the compact network.
+        settings: Option<PathBuf>,
+        /// Folder of the run.
+        #[arg(long)]
+        out: PathBuf,
+        /// Stops once this many updates are done; the schedule stays that of all of them.
+        #[arg(long)]
+        stop_after: Option<u64>,
+    },
+    /// Writes the network of a run as a weights file for `rogs`.
+    Export {
+        /// Folder of the run.
+        run: PathBuf,
+        /// The file to write.
+        #[arg(long)]
+        out: PathBuf,
+        /// Numbers of the file.
+        #[arg(long, value_enum, default_value_t = Numbers::Bf16)]
+        numbers: Numbers,
+        /// Where the weights come from, for a person; by default a line made from the run.
+        #[arg(long)]
+        provenance: Option<String>,
+    },
+    /// Prints all settings with their defaults as TOML.
+    Settings,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Numbers {
+    F32,
+    F16,
+    Bf16,
+}
+
+fn main() -> ExitCode {
+    match execute(Arguments::parse().command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn execute(command: Command) -> Result<()> {
+    match command {
+        Command::Stage1 {
+            settings,
+            out,
+            stop_after,
+        } => {
+            let settings = match settings {
+                Some(path) => Stage1Training::read(&path)?,
+                None => Stage1Training::default(),
+            };
+            run::run(&settings, &out, stop_after, &mut |line| eprintln!("{line}"))?;
+            println!("{}", out.join("model.safetensors").display());
+            Ok(())
+        }
+        Command::Export {
+            run,
+            out,
+            numbers,
+            provenance,
+        } => {
+            let settings = Stage1Training::read(&run.join("settings.toml"))?;
+            let mut trainer = Trainer::new(settings.clone(), &Device::flex())?;
+            RunFolder::open(&run, &settings)?.resume(&mut trainer)?;
+            let element = match numbers {
+                Numbers::F32 => ElementType::F32,
+                Numbers::F16 => ElementType::F16,
+                Numbers::Bf16 => ElementType::BF16,
+            };
+            let provenance = provenance.unwrap_or_else(|| run::provenance(&trainer, None));
+            export(&trainer, &out, element, &provenance)?;
+            println!("{}", out.display());
+            Ok(())
+        }
+        Command::Settings => {
+            let text = toml::to_string(&Stage1Training::default()).map_err(|error| Error::Configuration {
+                path: "settings".into(),
+                reason: error.to_string(),
+            })?;
+            print!("{text}");
+            Ok(())
+        }
+    }
+}

@@ -1,0 +1,152 @@
+//! The losses of Stage 1 (`stage1-network.md` section 14): those of the network's outputs here, those of renders in
+//! [`crate::renders`].
+
+use std::collections::BTreeMap;
+
+use burn::tensor::{Int, Tensor, TensorData};
+use rogs_networks::parameters::{from_host, to_host};
+use rogs_networks::stage1::losses;
+use rogs_random::Pcg64;
+
+use crate::config::LossWeights;
+use crate::error::Result;
+use crate::forward::Lifted;
+use crate::renders;
+use crate::sample::Sample;
+
+/// Most track pixels of a query.
+const TRACKS: usize = 1000;
+/// Of these, the share that starts on robot and objects when there are enough of them.
+const MOVING_SHARE: f64 = 0.75;
+/// Keeps a mean over nothing finite.
+const EPSILON: f64 = 1e-6;
+
+/// The objective of a clip.
+pub struct Objective {
+    /// Value of each term before its weight, by key.
+    pub terms: BTreeMap<&'static str, f64>,
+    /// The weighted sum.
+    pub value: f64,
+    /// Its gradient in the parameters is that of the weighted sum; its value is not. `[1]`
+    pub surrogate: Tensor<1>,
+}
+
+/// Pixels that tracks start on: row-major indices into `[S, A]`.
+fn track_pixels(sample: &Sample, random: &mut Pcg64) -> Vec<i32> {
+    let pixels = |wanted: bool| -> Vec<i32> {
+        (0..sample.trackable.len())
+            .filter(|&pixel| sample.valid[pixel] > 0.0 && (sample.trackable[pixel] > 0.0) == wanted)
+            .map(|pixel| pixel as i32)
+            .collect()
+    };
+    let mut pick = |mut from: Vec<i32>, count: usize| {
+        let count = count.min(from.len());
+        for k in 0..count {
+            let other = k + (random.next_double() * (from.len() - k) as f64) as usize;
+            let last = from.len() - 1;
+            from.swap(k, other.min(last));
+        }
+        from.truncate(count);
+        from
+    };
+    let mut chosen = pick(pixels(true), (TRACKS as f64 * MOVING_SHARE) as usize);
+    let rest = TRACKS - chosen.len();
+    chosen.extend(pick(pixels(false), rest.min(TRACKS / 4)));
+    chosen
+}
+
+/// The objective of one clip; terms whose weight is 0 are not computed.
+///
+/// # Errors
+/// When the device or the rasteriser fails.
+pub fn objective(sample: &Sample, lifted: &Lifted, weights: &LossWeights, random: &mut Pcg64) -> Result<Objective> {
+    let device = lifted.depth.device();
+    let [height, width] = sample.size;
+    let (views, area) = (sample.views.len(), height * width);
+    let mut sum = Sum::new(&device);
+    let map = |values: &[f32]| from_host(values.to_vec(), [views, height, width], &device);
+    let valid = map(&sample.valid);
+    if weights.stereo > 0.0 {
+        let target: Vec<f32> = sample
+            .depth_iu
+            .iter()
+            .map(|&depth| libm::logf(depth.max(1e-3)))
+            .collect();
+        let error = (lifted.log_depth.clone() - map(&target)).abs() * valid.clone();
+        sum.add(
+            "stereo",
+            weights.stereo,
+            1.0,
+            error.sum() / (valid.clone().sum() + EPSILON),
+        )?;
+    }
+    if weights.depth_head > 0.0 {
+        let loss = losses::depth(lifted.depth.clone(), map(&sample.depth_iu), valid.clone())?;
+        sum.add("depth_head", weights.depth_head, 1.0, loss)?;
+    }
+    let tracks = track_pixels(sample, random);
+    let share = 1.0 / sample.queries.len().max(1) as f64;
+    for (query, outputs) in sample.queries.iter().zip(&lifted.queries) {
+        // [S, 3, H, W] -> [S A, 3]
+        let rows = |map: Tensor<4>| map.permute([0, 2, 3, 1]).reshape([views * area, 3]);
+        let reference = from_host(query.displacement_iu.clone(), [views, 3, height, width], &device);
+        let (displacement, reference) = (rows(outputs.displacement.clone()), rows(reference));
+        if weights.track_head > 0.0 && !tracks.is_empty() {
+            let indices: Tensor<1, Int> = Tensor::from_data(TensorData::new(tracks.clone(), [tracks.len()]), &device);
+            let predicted = displacement.clone().select(0, indices.clone());
+            let target = reference.clone().select(0, indices);
+            let loss = losses::motion(predicted.clone(), target.clone(), [predicted, target])?;
+            sum.add("track_head", weights.track_head, share, loss)?;
+        }
+        if weights.fk_head > 0.0 {
+            let robot = from_host(sample.robot.clone(), [views * area, 1], &device);
+            let error = (displacement - reference).abs() * robot.clone();
+            let loss = error.sum() / (robot.sum() * 3.0 + EPSILON);
+            sum.add("fk_head", weights.fk_head, share, loss)?;
+        }
+    }
+    let mut objective = sum.finish();
+    if weights.renders_views() || weights.renders_motion() {
+        let rendered = renders::terms(sample, lifted, weights, &tracks)?;
+        for (key, (weight, value)) in rendered.terms {
+            *objective.terms.entry(key).or_insert(0.0) += value;
+            objective.value += weight * value;
+        }
+        objective.surrogate = objective.surrogate + rendered.surrogate;
+    }
+    Ok(objective)
+}
+
+/// A weighted sum of differentiable terms.
+struct Sum {
+    terms: BTreeMap<&'static str, f64>,
+    value: f64,
+    surrogate: Tensor<1>,
+}
+
+impl Sum {
+    fn new(device: &burn::tensor::Device) -> Self {
+        Self {
+            terms: BTreeMap::new(),
+            value: 0.0,
+            surrogate: Tensor::zeros([1], device),
+        }
+    }
+
+    /// Adds `share` of a term (of one of several queries, say).
+    fn add(&mut self, key: &'static str, weight: f64, share: f64, term: Tensor<1>) -> Result<()> {
+        let value = share * f64::from(to_host(term.clone())?.first().copied().unwrap_or(f32::NAN));
+        *self.terms.entry(key).or_insert(0.0) += value;
+        self.value += weight * value;
+        self.surrogate = self.surrogate.clone() + term * (weight * share);
+        Ok(())
+    }
+
+    fn finish(self) -> Objective {
+        Objective {
+            terms: self.terms,
+            value: self.value,
+            surrogate: self.surrogate,
+        }
+    }
+}

@@ -1,0 +1,98 @@
+//! AdamW with a rate per parameter (`stage1-network.md` section 15).
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+use rogs_networks::parameters::Parameters;
+
+use crate::config::OptimiserSettings;
+use crate::error::{Error, Result};
+use crate::start::rate_of;
+
+/// Keeps a division by a zero moment finite.
+const EPSILON: f64 = 1e-8;
+
+/// The two moments of every trained parameter.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Moments {
+    /// First and second moment by parameter.
+    pub by_name: BTreeMap<String, [Vec<f32>; 2]>,
+}
+
+/// Gradients of parameters by name, row-major.
+pub type Gradients = BTreeMap<String, Vec<f32>>;
+
+/// Share of the peak rate at an update (counted from 0): linear warm-up, then a cosine to zero.
+#[must_use]
+pub fn schedule(step: u64, steps: u64, warmup: u64) -> f64 {
+    if step < warmup {
+        return (step + 1) as f64 / warmup as f64;
+    }
+    let rest = steps.saturating_sub(warmup).max(1) as f64;
+    let done = ((step - warmup) as f64 / rest).min(1.0);
+    0.5 * (1.0 + libm::cos(std::f64::consts::PI * done))
+}
+
+/// Norm of all gradients together, summed in the order of names.
+#[must_use]
+pub fn norm(gradients: &Gradients) -> f64 {
+    let square = |values: &Vec<f32>| {
+        values
+            .iter()
+            .map(|&value| f64::from(value) * f64::from(value))
+            .sum::<f64>()
+    };
+    gradients.values().map(square).sum::<f64>().sqrt()
+}
+
+/// Moves the parameters by one update; returns the norm before clipping.
+///
+/// # Errors
+/// When a gradient is not finite (nothing is changed then), or a parameter cannot be read.
+pub fn update(
+    parameters: &mut Parameters,
+    moments: &mut Moments,
+    gradients: &Gradients,
+    settings: &OptimiserSettings,
+    step: u64,
+    steps: u64,
+) -> Result<f64> {
+    let size = norm(gradients);
+    if !size.is_finite() {
+        return Err(Error::Diverged {
+            step,
+            what: "the norm of the gradient".into(),
+        });
+    }
+    let clip = if size > settings.clip {
+        settings.clip / size
+    } else {
+        1.0
+    };
+    let share = schedule(step, steps, settings.warmup);
+    let unbias = settings.betas.map(|beta| 1.0 - beta.powi(step as i32 + 1));
+    let [beta1, beta2] = settings.betas;
+    for (name, gradient) in gradients {
+        let Some(rate) = rate_of(name, settings) else { continue };
+        let rate = rate * share;
+        let shape = parameters.shape(name).unwrap_or_default().to_vec();
+        let mut values = parameters.host(name)?;
+        let [first, second] = moments
+            .by_name
+            .entry(name.clone())
+            .or_insert_with(|| [vec![0.0; gradient.len()], vec![0.0; gradient.len()]]);
+        (values.par_iter_mut().zip(gradient))
+            .zip(first.par_iter_mut().zip(second.par_iter_mut()))
+            .for_each(|((value, &gradient), (first, second))| {
+                let gradient = f64::from(gradient) * clip;
+                let mean = beta1 * f64::from(*first) + (1.0 - beta1) * gradient;
+                let square = beta2 * f64::from(*second) + (1.0 - beta2) * gradient * gradient;
+                (*first, *second) = (mean as f32, square as f32);
+                let direction = mean / unbias[0] / ((square / unbias[1]).sqrt() + EPSILON);
+                let old = f64::from(*value);
+                *value = (old - rate * (direction + settings.weight_decay * old)) as f32;
+            });
+        parameters.insert(name, &shape, values)?;
+    }
+    Ok(size)
+}

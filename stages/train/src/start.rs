@@ -1,0 +1,129 @@
+//! The parameters training starts from, and which of them it changes how fast.
+
+use burn::tensor::Device;
+use rogs_networks::checkpoint;
+use rogs_networks::parameters::Parameters;
+use rogs_networks::stage1::{Stage1, Stage1Config, layout, seeded};
+
+use crate::config::{OptimiserSettings, Stage1Training};
+use crate::error::Result;
+
+/// Residual scale of aggregator blocks in a network that starts from nothing; the released value (0.01) leaves blocks
+/// silent for thousands of updates.
+const START_LAYER_SCALE: f32 = 0.3;
+
+/// The network of a run before its first update.
+///
+/// # Errors
+/// When the checkpoint to start from cannot be opened or is of another configuration.
+pub fn network(settings: &Stage1Training, device: &Device) -> Result<Stage1> {
+    let config = Stage1Config::by_name(&settings.configuration)?;
+    let mut network = match &settings.start {
+        Some(path) => checkpoint::open_stage1(path, device)?.network,
+        None => from_seed(&config, settings.seed, device)?,
+    };
+    if network.config != config {
+        return Err(crate::Error::Setting {
+            what: "configuration",
+            value: settings.configuration.clone(),
+            rule: "that of the checkpoint to start from",
+        });
+    }
+    if settings.start.is_some() && network.fk_branch()?.is_none() {
+        for spec in layout::fk_branch(&config) {
+            let values = seeded::values(&spec, &config, settings.seed);
+            network.parameters.insert(&spec.name, &spec.shape, values)?;
+        }
+    }
+    if settings.optimiser.lora_rank > 0 {
+        add_low_rank_updates(&mut network, settings)?;
+    }
+    Ok(network)
+}
+
+/// Seeded weights that can learn: in the released network the ray embedding starts at zero on both sides of its norm,
+/// beside a trained encoder; alone, it would get no gradient for ever.
+fn from_seed(config: &Stage1Config, seed: u64, device: &Device) -> Result<Stage1> {
+    let mut network = seeded::network(config, seed, device)?;
+    let parameters = &mut network.parameters;
+    let (width, patch) = (config.width, config.patch);
+    let name = "backbone.plucker_embed.net.weight";
+    let shape = [width, 6, 1, patch, patch];
+    let spec = layout::ParameterSpec {
+        name: name.into(),
+        shape: shape.to_vec(),
+        initial: layout::Initial::Uniform {
+            fan_in: 6 * patch * patch,
+        },
+    };
+    parameters.insert(name, &shape, seeded::values(&spec, config, seed))?;
+    parameters.insert("backbone.plucker_ln.weight", &[width], vec![1.0; width])?;
+    for kind in ["frame_blocks", "global_blocks"] {
+        for block in 0..config.pairs {
+            for scale in ["ls1", "ls2"] {
+                let name = format!("backbone.backbone.{kind}.{block}.{scale}.gamma");
+                parameters.insert(&name, &[width], vec![START_LAYER_SCALE; width])?;
+            }
+        }
+    }
+    Ok(network)
+}
+
+/// Adds A (seeded) and B (zero) of the QKV and output projections of all aggregator blocks.
+fn add_low_rank_updates(network: &mut Stage1, settings: &Stage1Training) -> Result<()> {
+    let (config, rank) = (network.config.clone(), settings.optimiser.lora_rank);
+    for kind in ["frame_blocks", "global_blocks"] {
+        for block in 0..config.pairs {
+            for (layer, outputs) in [("qkv", 3 * config.width), ("proj", config.width)] {
+                let prefix = format!("backbone.backbone.{kind}.{block}.attn.{layer}");
+                let spec = layout::ParameterSpec {
+                    name: format!("{prefix}.lora_A.weight"),
+                    shape: vec![rank, config.width],
+                    initial: layout::Initial::Uniform { fan_in: config.width },
+                };
+                let values = seeded::values(&spec, &config, settings.seed);
+                network.parameters.insert(&spec.name, &spec.shape, values)?;
+                let zeros = vec![0.0; outputs * rank];
+                network
+                    .parameters
+                    .insert(&format!("{prefix}.lora_B.weight"), &[outputs, rank], zeros)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Peak learning rate of a parameter, `None` when it is not trained (`stage1-network.md` section 15).
+#[must_use]
+pub fn rate_of(name: &str, settings: &OptimiserSettings) -> Option<f64> {
+    let attributes = ["splat_head", "fk_branch"].iter().any(|part| name.contains(part));
+    let head = name.contains("_head.");
+    if name.contains("mask_token") {
+        return None; // not a part of any output
+    }
+    if attributes {
+        Some(settings.head_rate)
+    } else if head || name.contains(".lora_") {
+        Some(settings.rate)
+    } else {
+        (settings.lora_rank == 0 && settings.train_backbone).then_some(settings.rate)
+    }
+}
+
+/// The same network with leaves of its own: trained parameters require gradients, the others do not. Values are shared.
+///
+/// # Errors
+/// When the configuration is not possible.
+pub fn tracked(network: &Stage1, settings: &OptimiserSettings) -> Result<Stage1> {
+    let mut parameters = Parameters::new(network.parameters.device());
+    for (name, parameter) in network.parameters.memory() {
+        let values = parameter.values.clone().detach();
+        let trained = rate_of(name, settings).is_some();
+        let leaf = rogs_networks::parameters::Parameter {
+            values: if trained { values.require_grad() } else { values },
+            shape: parameter.shape.clone(),
+        };
+        parameters.memory_mut().insert(name.clone(), leaf);
+    }
+    Ok(Stage1::new(network.config.clone(), parameters)?)
+}
