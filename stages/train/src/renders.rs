@@ -198,7 +198,7 @@ impl Pass<'_> {
             }
             let error = f64::from(render.depth_expected[pixel] - target.depth_iu[pixel]);
             value += each * millimetres * error.abs();
-            (weight * each * millimetres * error.signum()) as f32
+            (weight * each * millimetres * sign(error)) as f32
         });
         let gradient = gradient.collect();
         self.add(key, weight, value);
@@ -264,11 +264,11 @@ impl Pass<'_> {
                         let mut slope = 0.0;
                         if tracked[global] {
                             track_value += track_each * error.abs();
-                            slope += self.weights.track_final * track_each * error.signum();
+                            slope += self.weights.track_final * track_each * sign(error);
                         }
                         if robot {
                             robot_value += robot_each * error.abs();
-                            slope += self.weights.fk_final * robot_each * error.signum();
+                            slope += self.weights.fk_final * robot_each * sign(error);
                         }
                         gradient[3 * pixel + axis] = slope as f32;
                     }
@@ -291,6 +291,11 @@ impl Pass<'_> {
         self.add("fk_final", self.weights.fk_final, robot_value);
         Ok(())
     }
+}
+
+/// Slope of |x|; 0 at 0, where most static pixels are.
+fn sign(value: f64) -> f64 {
+    if value == 0.0 { 0.0 } else { value.signum() }
 }
 
 /// The chosen Gaussians at their own positions.

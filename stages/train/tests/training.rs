@@ -1,0 +1,265 @@
+//! Training changes the network as its settings say, and a killed run goes on as if nothing had happened.
+
+use std::path::Path;
+
+use burn::tensor::Device;
+use rogs_networks::parameters::to_host;
+use rogs_random::Pcg64;
+use rogs_train::config::{DataSettings, LossWeights, OptimiserSettings};
+use rogs_train::forward::lift;
+use rogs_train::objective::objective;
+use rogs_train::sample::{ClipPlan, Sample};
+use rogs_train::{Stage1Training, Stream, Trainer, run, start};
+
+/// A run small enough for a test: the compact network on very small images.
+fn tiny(steps: u64) -> Stage1Training {
+    Stage1Training {
+        steps,
+        checkpoint_every: 2,
+        evaluate_every: 2,
+        evaluation_clips: 1,
+        data: DataSettings {
+            size: [28, 42],
+            source_times: [1, 2],
+            queries: 1,
+            images_per_step: 6,
+            ..DataSettings::default()
+        },
+        optimiser: OptimiserSettings {
+            rate: 1e-3,
+            head_rate: 1e-3,
+            warmup: 2,
+            ..OptimiserSettings::default()
+        },
+        ..Stage1Training::default()
+    }
+}
+
+fn sample(settings: &Stage1Training, seed: u64) -> Sample {
+    let mut random = Pcg64::from_seed(seed);
+    ClipPlan::draw(seed, 2, &settings.data, &mut random)
+        .sample(&settings.data, true)
+        .unwrap()
+}
+
+fn bytes(folder: &Path, name: &str) -> Vec<u8> {
+    std::fs::read(folder.join(name)).unwrap()
+}
+
+#[test]
+fn a_resumed_run_equals_an_uninterrupted_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let (whole, parts) = (folder.path().join("whole"), folder.path().join("parts"));
+    let settings = tiny(4);
+    run::run(&settings, &whole, None, &mut |_| {}).unwrap();
+    let mut said = Vec::new();
+    for stop in [2, 4] {
+        run::run(&settings, &parts, Some(stop), &mut |line| said.push(line.to_owned())).unwrap();
+        // What a kill between two checkpoints leaves behind: lines about updates that are made again.
+        if stop == 2 {
+            let path = parts.join("metrics.jsonl");
+            let mut text = std::fs::read_to_string(&path).unwrap();
+            text.push_str("{\"step\":2,\"loss\":1.0}\n{\"step\":3,\"lo");
+            std::fs::write(&path, text).unwrap();
+        }
+    }
+    assert!(
+        said.iter().any(|line| line.starts_with("resumed after 2 of 4")),
+        "{said:?}"
+    );
+    for name in ["state.safetensors", "metrics.jsonl"] {
+        assert!(bytes(&whole, name) == bytes(&parts, name), "{name} differs");
+    }
+    let page = String::from_utf8(bytes(&parts, "report.html")).unwrap();
+    assert!(page.contains("<svg") && page.contains("data:image/png;base64,") && !page.contains("http"));
+}
+
+#[test]
+fn a_folder_belongs_to_one_run() {
+    let folder = tempfile::tempdir().unwrap();
+    run::run(&tiny(1), folder.path(), None, &mut |_| {}).unwrap();
+    let other = Stage1Training { seed: 74, ..tiny(1) };
+    let error = run::run(&other, folder.path(), None, &mut |_| {})
+        .err()
+        .unwrap()
+        .to_string();
+    assert!(
+        error.contains("settings.toml") && error.contains("other settings"),
+        "{error}"
+    );
+}
+
+#[test]
+fn updates_are_the_same_for_any_number_of_threads() {
+    let settings = tiny(1);
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let batch = Stream::start(&settings, 0).next_batch().unwrap().unwrap();
+            let mut trainer = Trainer::new(settings.clone(), &Device::flex()).unwrap();
+            let report = trainer.update(&batch).unwrap();
+            let name = "backbone.depth_head.scratch.output_conv2.2.weight";
+            (report, trainer.network.parameters.host(name).unwrap())
+        })
+    };
+    let (one, three) = (run(1), run(3));
+    assert!(one == three);
+}
+
+/// The surrogate has the gradient of the value that is reported.
+#[test]
+fn gradients_are_those_of_the_reported_loss() {
+    let settings = tiny(1);
+    let clip = sample(&settings, 4711);
+    let none = LossWeights {
+        movies_mse: 0.0,
+        depth_head: 0.0,
+        stereo: 0.0,
+        track_head: 0.0,
+        track_final: 0.0,
+        fk_head: 0.0,
+        fk_final: 0.0,
+        metric_final: 0.0,
+        metric_right: 0.0,
+        coverage: 0.0,
+        coverage_right: 0.0,
+    };
+    let cases = [
+        (
+            "heads",
+            LossWeights {
+                stereo: 1.0,
+                depth_head: 1.0,
+                ..none
+            },
+        ),
+        (
+            "metric",
+            LossWeights {
+                metric_final: 0.001,
+                metric_right: 0.001,
+                ..none
+            },
+        ),
+        (
+            "colour",
+            LossWeights {
+                movies_mse: 1.0,
+                ..none
+            },
+        ),
+        (
+            "composited motion",
+            LossWeights {
+                track_final: 1.0,
+                fk_final: 1.0,
+                ..none
+            },
+        ),
+        (
+            "coverage",
+            LossWeights {
+                coverage: 1.0,
+                coverage_right: 1.0,
+                ..none
+            },
+        ),
+    ];
+    let device = Device::flex();
+    for (what, weights) in cases {
+        let name = match what {
+            "composited motion" => "backbone.motion_head.scratch.output_conv2.2.bias",
+            "coverage" => "backbone.splat_head.scratch.output_conv2.2.bias",
+            _ => "backbone.depth_head.scratch.output_conv2.2.bias",
+        };
+        let entry = match what {
+            "coverage" => 10, // opacity
+            _ => 0,
+        };
+        let value_with = |shift: f32| {
+            let mut trainer = Trainer::new(settings.clone(), &device).unwrap();
+            let shape = trainer.network.parameters.shape(name).unwrap().to_vec();
+            let mut values = trainer.network.parameters.host(name).unwrap();
+            // Away from zero: static pixels are at the kink of |x| before training.
+            values[entry] += shift + if what == "composited motion" { 0.3 } else { 0.0 };
+            trainer.network.parameters.insert(name, &shape, values).unwrap();
+            let network = start::tracked(&trainer.network, &settings.optimiser).unwrap();
+            let lifted = lift(&network, &clip, true).unwrap();
+            let result = objective(&clip, &lifted, &weights, &mut Pcg64::from_seed(1)).unwrap();
+            let gradients = result.surrogate.backward();
+            let gradient = network.parameters.memory()[name].values.grad(&gradients).unwrap();
+            (result.value, f64::from(to_host(gradient).unwrap()[entry]))
+        };
+        let step = 2e-3;
+        let (below, above) = (value_with(-step).0, value_with(step).0);
+        let numeric = (above - below) / (2.0 * f64::from(step));
+        let (_, analytic) = value_with(0.0);
+        // Gaussians that come and go at the edge of their footprint make rendered losses jump a little.
+        let tolerance = if what == "heads" { 0.01 } else { 0.12 };
+        assert!(
+            (numeric - analytic).abs() < tolerance * numeric.abs().max(1e-4),
+            "{what}: {analytic} by the backward pass, {numeric} by differences"
+        );
+    }
+}
+
+#[test]
+fn a_network_learns_one_clip() {
+    let mut settings = tiny(12);
+    (settings.optimiser.rate, settings.optimiser.head_rate) = (4e-3, 4e-3);
+    let clip = sample(&settings, 99);
+    let mut trainer = Trainer::new(settings, &Device::flex()).unwrap();
+    let mut losses = Vec::new();
+    for step in 0..12 {
+        let batch = rogs_train::stream::Batch {
+            step,
+            clips: vec![clip.clone()],
+        };
+        losses.push(trainer.update(&batch).unwrap().loss);
+    }
+    assert!(losses[11] < 0.8 * losses[0], "{losses:?}");
+}
+
+#[test]
+fn only_the_chosen_parameters_are_trained() {
+    let mut settings = tiny(1);
+    settings.optimiser.lora_rank = 4;
+    let batch = Stream::start(&settings, 0).next_batch().unwrap().unwrap();
+    let mut trainer = Trainer::new(settings.clone(), &Device::flex()).unwrap();
+    let before: Vec<_> = trainer.network.parameters.names();
+    let values = |trainer: &Trainer, name: &str| trainer.network.parameters.host(name).unwrap();
+    let old: Vec<Vec<f32>> = before.iter().map(|name| values(&trainer, name)).collect();
+    trainer.update(&batch).unwrap();
+    let (mut changed, mut kept) = (0, 0);
+    for (name, old) in before.iter().zip(old) {
+        let same = values(&trainer, name) == old;
+        // A starts to move once B is no longer zero.
+        let trained = name.contains("_head.") || name.contains("fk_branch") || name.contains("lora_B");
+        if trained {
+            changed += usize::from(!same);
+        } else if !name.contains("lora_A") {
+            assert!(same, "{name} is frozen and moved");
+            kept += 1;
+        }
+    }
+    assert!(changed > 50 && kept > 50, "{changed} {kept}");
+}
+
+#[test]
+fn bad_settings_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("settings.toml");
+    for (text, expected) in [
+        ("stepz = 3", "stepz"),
+        ("steps = 0", "steps"),
+        ("[data]\nsize = [100, 154]", "data.size"),
+        ("[data]\nimages_per_step = 3", "images_per_step"),
+        ("[losses]\nmovies_mse = -1.0", "losses"),
+        ("configuration = \"huge\"", "huge"),
+        ("[optimiser]\nbetas = [0.9, 1.0]", "betas"),
+    ] {
+        std::fs::write(&path, text).unwrap();
+        let error = Stage1Training::read(&path).err().unwrap().to_string();
+        assert!(error.contains(expected), "{text}: {error}");
+    }
+}
