@@ -55,6 +55,9 @@ pub struct Manifest {
     /// Ablations and baselines beside the run above. What they have in common with it is computed once.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub variants: Vec<Variant>,
+    /// Methods whose predictions are files, scored beside the run by the same code.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub predictions: Vec<Prediction>,
     /// How the work is spread over this machine. Nothing here changes a result.
     #[serde(default)]
     pub executor: Executor,
@@ -182,6 +185,26 @@ pub struct Variant {
     /// Parameters of `refine`.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub refine: Params,
+    /// Parameters of `score`.
+    #[serde(default, skip_serializing_if = "Map::is_empty")]
+    pub score: Params,
+}
+
+/// An outside method: its predictions are files, one folder a clip. `docs/predictions.md` says what may lie in it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Prediction {
+    /// Name of its rows in the tables (`[A-Za-z0-9._+-]{1,128}`, `+` stands for `/`): `movies`, `4dgt`, `som`, your own.
+    pub name: String,
+    /// The folder that holds a folder of files for every clip, named by the clip's id. A clip without one is left out of
+    /// the method's means.
+    pub root: PathBuf,
+    /// Frame of its fields: `base` (default) or `camera`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<String>,
+    /// How its lengths become metres: `none` (default) or `source-depth`, one factor per camera.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<String>,
     /// Parameters of `score`.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub score: Params,
@@ -329,6 +352,9 @@ impl Manifest {
             fix(&mut episode.root);
             fix_some(&mut episode.calibration);
         }
+        self.predictions
+            .iter_mut()
+            .for_each(|prediction| fix(&mut prediction.root));
         let weights =
             std::iter::once(&mut self.weights).chain(self.variants.iter_mut().map(|variant| &mut variant.weights));
         for weights in weights {
@@ -373,6 +399,20 @@ impl Manifest {
             }
             if !names.insert(variant.name.to_lowercase()) {
                 return Err(text.error(&["variants"], format!("two variants are named `{}`", variant.name)));
+            }
+        }
+        let mut names = std::collections::BTreeSet::new();
+        for prediction in &self.predictions {
+            if !is_safe_name(&prediction.name) {
+                let message = format!(
+                    "`{}` is no name for predictions: use letters, digits and . _ + -",
+                    prediction.name
+                );
+                return Err(text.error(&["predictions"], message));
+            }
+            if !names.insert(prediction.name.to_lowercase()) {
+                let message = format!("two predictions are named `{}`", prediction.name);
+                return Err(text.error(&["predictions"], message));
             }
         }
         for id in self.episodes.iter().filter_map(|episode| episode.id.as_deref()) {

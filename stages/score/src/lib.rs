@@ -13,9 +13,11 @@ pub mod measure;
 pub mod metrics;
 pub mod outside;
 mod perceptual;
+mod render;
 mod stage;
 pub mod summary;
 pub mod tables;
 pub mod timing;
 
-pub use stage::{KeepRenders, Score, ScoreParams, Setting};
+pub use outside::FieldFrame;
+pub use stage::{FieldScale, KeepRenders, PredictionParams, Score, ScoreParams, Setting};

@@ -211,7 +211,7 @@ pub fn reference_rgb(clip: &Clip, camera: usize, frame: u32) -> Option<&[u8]> {
 }
 
 /// Reference depth of a camera at a frame and its scored range, metres.
-fn reference_depth<'a>(camera: &'a ClipCamera, clip: &Clip, frame: u32) -> Option<(&'a [f32], [f32; 2])> {
+pub(crate) fn reference_depth<'a>(camera: &'a ClipCamera, clip: &Clip, frame: u32) -> Option<(&'a [f32], [f32; 2])> {
     let depth = camera.depth.as_ref()?;
     let size = clip.height as usize * clip.width as usize;
     let start = frame as usize * size;

@@ -1,29 +1,28 @@
-//! The stage: reads clip, robot maps and field, renders the query plan, measures, writes scores.
+//! The stage: reads clip, robot maps and predictions, renders the query plan, measures, writes scores.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use rayon::prelude::*;
-use rogs_geometry::{Base, Camera, Pose, Recon};
+use rogs_geometry::{Base, Pose, Recon};
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::record::{Record, SchemaId};
-use rogs_schemas::records::clip::{Clip, time_of_frame};
-use rogs_schemas::records::field::Field;
+use rogs_schemas::records::clip::Clip;
+use rogs_schemas::records::field::{Field, WeightsInfo};
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::records::robot::RobotMaps;
-use rogs_schemas::records::scores::{RenderedView, ScoreSheet, Scores, TrackScore};
+use rogs_schemas::records::scores::{ScoreSheet, Scores};
 use rogs_splat::field::TimedField;
-use rogs_splat::{Gaussians, RasterConfig, Render, SplatError};
 use rogs_worker::{Context, Stage, StageError, StageResult};
 use serde::{Deserialize, Serialize};
 
-use crate::measure::{
-    MeasuredImage, PredictedImage, RobotCore, measure_displacement, measure_image, pool_robot_depth, reference_rgb,
-    robot_tracks,
-};
-use crate::metrics::{DisplacementMap, MIN_BLEND_WEIGHT, MetricError, SsimVariant, TrackSample};
+use crate::measure::{MeasuredImage, PredictedImage, RobotCore, measure_image, pool_robot_depth, reference_rgb};
+use crate::metrics::{MetricError, SsimVariant};
+use crate::outside::{FieldFrame, ImagePredictions, OutsideField};
 use crate::perceptual::Perceptual;
+use crate::render::{FieldSource, Predictions, Scene, ViewRender, outside_error, scale_to_source_depth, splat_error};
+use crate::summary::{OUTSIDE, OUTSIDE_SCALED};
 
 /// Which observations the field was made from.
 #[derive(
@@ -60,6 +59,28 @@ pub enum KeepRenders {
     None,
 }
 
+/// How the lengths of an outside method's fields become metres.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum FieldScale {
+    /// They are metres.
+    #[default]
+    None,
+    /// One factor per source camera: the median ratio of the recorded source depth to the field's own rendered depth,
+    /// over all valid pixels of the source times. Only for camera-wise fields in their camera's frame.
+    SourceDepth,
+}
+
+/// An outside method: its predictions are files (input `predictions`, a folder) instead of a field of this pipeline.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct PredictionParams {
+    /// Frame of its fields.
+    pub frame: FieldFrame,
+    /// Unit of its fields.
+    pub scale: FieldScale,
+}
+
 /// Parameters of the stage.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -76,6 +97,8 @@ pub struct ScoreParams {
     pub keep_renders: KeepRenders,
     /// Score the correction after this many updates (0: none) instead of the last one.
     pub update: Option<u32>,
+    /// Score an outside method's files (input `predictions`) instead of a field.
+    pub prediction: Option<PredictionParams>,
 }
 
 /// The stage `score`.
@@ -100,8 +123,9 @@ impl Stage for Score {
         vec![
             input("clip", true, Clip::SCHEMA.name),
             input("robot", true, RobotMaps::SCHEMA.name),
-            input("field", true, Field::SCHEMA.name),
+            input("field", false, Field::SCHEMA.name),
             input("refinement", false, Refinement::SCHEMA.name),
+            input("predictions", false, "folder"),
             input("lpips", false, "file"),
         ]
     }
@@ -114,6 +138,11 @@ impl Stage for Score {
             );
             return Err(StageError::bad_params(message));
         }
+        let scaled = |own: PredictionParams| own.scale == FieldScale::SourceDepth && own.frame == FieldFrame::Base;
+        if params.prediction.is_some_and(scaled) {
+            let message = "prediction.scale = \"source-depth\" scales a field about its camera: it needs prediction.frame = \"camera\"";
+            return Err(StageError::bad_params(message));
+        }
         let lpips = inputs.get("lpips").map(|path| Perceptual::open(path)).transpose()?;
         Ok(Self {
             params: params.clone(),
@@ -124,6 +153,16 @@ impl Stage for Score {
     fn run(&mut self, context: &mut Context<'_>) -> StageResult<()> {
         let clip: Clip = context.read("clip")?;
         let robot: RobotMaps = context.read("robot")?;
+        check_clip(&clip, &robot)?;
+        match self.params.prediction {
+            Some(prediction) => self.run_outside(context, &clip, &robot, prediction),
+            None => self.run_own(context, &clip, &robot),
+        }
+    }
+}
+
+impl Score {
+    fn run_own(&self, context: &mut Context<'_>, clip: &Clip, robot: &RobotMaps) -> StageResult<()> {
         let field: Field = context.read("field")?;
         let refinement = context
             .optional_input("refinement")
@@ -136,38 +175,109 @@ impl Stage for Score {
             let message = format!("the refinement corrects field {}, not {key}", refinement.field_key);
             return Err(StageError::bad_input(message).with_hint("give the field that `refine` was run on"));
         }
-        check_same_clip(&clip, &robot, &field)?;
+        check_field(clip, &field)?;
         let timed = corrected(&field, refinement.as_ref(), self.params.update)?;
         let scene = Scene {
-            clip: &clip,
-            robot: &robot,
-            field: timed,
-            recon_from_base: recon_from_base(&field)?,
+            clip,
+            robot,
+            predictions: Predictions::Field(FieldSource::Own {
+                field: timed,
+                recon_from_base: recon_from_base(&field)?,
+            }),
         };
+        let refined = refinement.is_some() && self.params.update != Some(0);
+        let weights = [Some(&field.weights), refinement.as_ref().map(|own| &own.weights)];
+        let weights = weights.into_iter().flatten().cloned().collect();
+        let sheet = self.empty_sheet(clip, if refined { "stage1+2" } else { "stage1" }, weights);
+        self.score(context, &scene, sheet)
+    }
 
-        let mut sheet = self.empty_sheet(&clip, &field, refinement.as_ref());
+    fn run_outside(
+        &self,
+        context: &mut Context<'_>,
+        clip: &Clip,
+        robot: &RobotMaps,
+        prediction: PredictionParams,
+    ) -> StageResult<()> {
+        let ids: Vec<&str> = clip.cameras.iter().map(|camera| camera.id.as_str()).collect();
+        let first = clip.source_frames.first().copied().unwrap_or(0) as usize;
+        let pose = |camera: u32| robot.base_from_camera[camera as usize * clip.frame_count() + first];
+        let sources: Vec<_> = (clip.source_cameras().into_iter())
+            .map(|camera| (camera, ids[camera as usize], pose(camera)))
+            .collect();
+        let folder = context.optional_input("predictions").map(PathBuf::from);
+        let mut info = WeightsInfo {
+            trained: true,
+            configuration: OUTSIDE.to_owned(),
+            description: "an outside method's own files".to_owned(),
+            hash: String::new(),
+        };
+        let read = |folder: &PathBuf| -> StageResult<Option<Predictions<'_>>> {
+            let (height, width) = (clip.height as usize, clip.width as usize);
+            if let Some(images) = ImagePredictions::read(folder, &ids, height, width).map_err(outside_error)? {
+                return Ok(Some(Predictions::Images(images)));
+            }
+            let field = OutsideField::read(folder, &sources, prediction.frame, clip.fps).map_err(outside_error)?;
+            Ok(field.map(|field| Predictions::Field(FieldSource::Outside(field))))
+        };
+        let found = context.timed("read_predictions", |_| folder.as_ref().map(read).transpose())?;
+        let predictions = match found.flatten() {
+            None => {
+                context.warn(
+                    "the method has no (complete) prediction for this clip; the clip is left out of its means, and their \
+                     number of clips says so",
+                );
+                let sheet = self.empty_sheet(clip, "outside", vec![info]);
+                return context.write(&Scores {
+                    summary: sheet,
+                    renders: Vec::new(),
+                });
+            }
+            Some(Predictions::Field(FieldSource::Outside(field))) if prediction.scale == FieldScale::SourceDepth => {
+                let (field, factors) =
+                    context.timed("transform_merge", |_| scale_to_source_depth(clip, robot, field))?;
+                let text: Vec<String> = factors.iter().map(|(id, factor)| format!("{id} {factor:.6}")).collect();
+                info.configuration = OUTSIDE_SCALED.to_owned();
+                info.description = format!("scaled to the source depth by {}", text.join(", "));
+                Predictions::Field(FieldSource::Outside(field))
+            }
+            Some(other) => other,
+        };
+        let scene = Scene {
+            clip,
+            robot,
+            predictions,
+        };
+        let sheet = self.empty_sheet(clip, "outside", vec![info]);
+        self.score(context, &scene, sheet)
+    }
+
+    /// Scores every query time and writes the output.
+    fn score(&self, context: &mut Context<'_>, scene: &Scene<'_>, mut sheet: ScoreSheet) -> StageResult<()> {
+        let (clip, robot) = (scene.clip, scene.robot);
         let mut kept = Vec::new();
+        let parts = (clip.query_frames.len() + 1) as f64;
         for (index, &frame) in clip.query_frames.iter().enumerate() {
-            let fraction = index as f64 / (clip.query_frames.len() + 1) as f64;
-            context.progress(fraction, &format!("frame {frame}"));
-            let renders = context.timed("render_query", |_| scene.render(frame))?;
-            let mut measured = context.timed("measure", |_| self.measure(&clip, &robot, frame, &renders))?;
-            context.timed("lpips", |_| self.add_lpips(&clip, &renders, &mut measured, &mut sheet));
+            context.progress(index as f64 / parts, &format!("frame {frame}"));
+            let views = context.timed("render_query", |_| scene.views(frame))?;
+            let mut measured = context.timed("measure", |_| self.measure(clip, robot, frame, &views))?;
+            context.timed("lpips", |_| self.add_lpips(clip, &views, &mut measured, &mut sheet));
             sheet.robot_depth.push(pool_robot_depth(frame, &measured));
-            for (render, image) in renders.into_iter().zip(measured) {
-                sheet.invalid_gaussians = sheet.invalid_gaussians.max(render.invalid);
+            for (view, image) in views.into_iter().zip(measured) {
+                sheet.invalid_gaussians = sheet.invalid_gaussians.max(view.invalid);
                 sheet.n_empty_support += u32::from(image.empty_support);
                 if self.params.keep_renders == KeepRenders::All {
-                    kept.push(render.keep(&image, &clip));
+                    kept.extend(view.keep(&image, clip));
                 }
                 sheet.images.push(image.score);
             }
         }
-        context.progress(
-            clip.query_frames.len() as f64 / (clip.query_frames.len() + 1) as f64,
-            "displacements",
-        );
-        sheet.tracks = context.timed("render_displacement", |_| scene.displacements())?;
+        context.progress((parts - 1.0) / parts, "displacements");
+        let (tracks, note) = context.timed("render_displacement", |_| scene.displacements())?;
+        sheet.tracks = tracks;
+        if let Some(note) = note {
+            context.warn(format!("`{}` has no displacement error: {note}", sheet.method));
+        }
         if sheet
             .images
             .iter()
@@ -181,26 +291,18 @@ impl Stage for Score {
             renders: kept,
         })
     }
-}
 
-impl Score {
-    fn empty_sheet(&self, clip: &Clip, field: &Field, refinement: Option<&Refinement>) -> ScoreSheet {
-        let refined = refinement.is_some() && self.params.update != Some(0);
-        let default = if refined { "stage1+2" } else { "stage1" };
+    fn empty_sheet(&self, clip: &Clip, method: &str, weights: Vec<WeightsInfo>) -> ScoreSheet {
         ScoreSheet {
             clip_id: clip.clip_id.clone(),
-            method: self.params.method.clone().unwrap_or_else(|| default.to_owned()),
+            method: self.params.method.clone().unwrap_or_else(|| method.to_owned()),
             setting: self.params.setting.name().to_owned(),
             ssim_variant: self.params.ssim.name().to_owned(),
             lpips_note: match self.lpips {
                 None => Some("no LPIPS weights were given (input `lpips`)".to_owned()),
                 Some(_) => None,
             },
-            weights: [Some(&field.weights), refinement.map(|refinement| &refinement.weights)]
-                .into_iter()
-                .flatten()
-                .cloned()
-                .collect(),
+            weights,
             images: Vec::new(),
             tracks: Vec::new(),
             robot_depth: Vec::new(),
@@ -209,42 +311,36 @@ impl Score {
         }
     }
 
-    /// Measures the renders of all cameras at one frame, in camera order.
+    /// Measures the views of all cameras at one frame, in camera order.
     fn measure(
         &self,
         clip: &Clip,
         robot: &RobotMaps,
         frame: u32,
-        renders: &[ViewRender],
+        views: &[ViewRender],
     ) -> StageResult<Vec<MeasuredImage>> {
-        let one = |(camera, render): (usize, &ViewRender)| {
+        let one = |(camera, view): (usize, &ViewRender)| {
             let prediction = PredictedImage {
-                rgb: Some(&render.rgb),
-                depth_m: Some(&render.depth_m),
+                rgb: view.rgb.as_deref(),
+                depth_m: view.depth_m.as_deref(),
             };
-            measure_image(
-                clip,
-                robot,
-                camera,
-                frame,
-                &prediction,
-                self.params.ssim,
-                self.params.robot_core,
-            )
+            let Self { params, .. } = self;
+            measure_image(clip, robot, camera, frame, &prediction, params.ssim, params.robot_core)
         };
-        let measured: Result<Vec<_>, MetricError> = renders.par_iter().enumerate().map(one).collect();
+        let measured: Result<Vec<_>, MetricError> = views.par_iter().enumerate().map(one).collect();
         measured.map_err(|error| StageError::bad_input(format!("frame {frame}: {error}")))
     }
 
     /// Adds LPIPS where there are weights and a reference image. One image after the other: the network uses all threads.
-    fn add_lpips(&self, clip: &Clip, renders: &[ViewRender], measured: &mut [MeasuredImage], sheet: &mut ScoreSheet) {
+    fn add_lpips(&self, clip: &Clip, views: &[ViewRender], measured: &mut [MeasuredImage], sheet: &mut ScoreSheet) {
         let Some(lpips) = &self.lpips else { return };
         let (height, width) = (clip.height as usize, clip.width as usize);
-        for (camera, (render, image)) in renders.iter().zip(measured).enumerate() {
-            let Some(reference) = reference_rgb(clip, camera, image.score.frame) else {
+        for (camera, (view, image)) in views.iter().zip(measured).enumerate() {
+            let reference = reference_rgb(clip, camera, image.score.frame);
+            let (Some(rgb), Some(reference)) = (&view.rgb, reference) else {
                 continue;
             };
-            match lpips.distance(&render.rgb, reference, height, width) {
+            match lpips.distance(rgb, reference, height, width) {
                 Ok(distance) => image.score.lpips = Some(distance),
                 Err(why) => sheet.lpips_note = Some(why),
             }
@@ -283,12 +379,12 @@ fn corrected<'a>(
         .map_err(splat_error)
 }
 
-fn check_same_clip(clip: &Clip, robot: &RobotMaps, field: &Field) -> StageResult<()> {
+fn check_clip(clip: &Clip, robot: &RobotMaps) -> StageResult<()> {
     let wrong = |what: String| Err(StageError::bad_input(what));
-    if robot.clip_id != clip.clip_id || field.clip_id != clip.clip_id {
+    if robot.clip_id != clip.clip_id {
         return wrong(format!(
-            "the inputs belong to different clips: clip `{}`, robot `{}`, field `{}`",
-            clip.clip_id, robot.clip_id, field.clip_id
+            "the inputs belong to different clips: clip `{}`, robot `{}`",
+            clip.clip_id, robot.clip_id
         ));
     }
     if (robot.height, robot.width) != (clip.height, clip.width) {
@@ -297,25 +393,37 @@ fn check_same_clip(clip: &Clip, robot: &RobotMaps, field: &Field) -> StageResult
             robot.height, robot.width, clip.height, clip.width
         ));
     }
-    let poses = clip.cameras.len() * clip.frame_count();
-    if robot.base_from_camera.len() != poses || field.frame_count as usize != clip.frame_count() {
+    if robot.base_from_camera.len() != clip.cameras.len() * clip.frame_count() {
         return wrong(format!(
-            "the clip has {} cameras and {} frames, the robot maps {} camera poses, the field {} frames",
+            "the clip has {} cameras and {} frames, the robot maps {} camera poses",
             clip.cameras.len(),
             clip.frame_count(),
-            robot.base_from_camera.len(),
-            field.frame_count
+            robot.base_from_camera.len()
         ));
     }
-    if let Some(frame) = clip
-        .query_frames
-        .iter()
-        .find(|&&frame| frame as usize >= clip.frame_count())
-    {
+    let used = clip.query_frames.iter().chain(&clip.source_frames);
+    if let Some(frame) = used.into_iter().find(|&&frame| frame as usize >= clip.frame_count()) {
         return wrong(format!(
-            "query frame {frame} lies outside of the clip's {} frames",
+            "frame {frame} lies outside of the clip's {} frames",
             clip.frame_count()
         ));
+    }
+    Ok(())
+}
+
+fn check_field(clip: &Clip, field: &Field) -> StageResult<()> {
+    if field.clip_id != clip.clip_id {
+        return Err(StageError::bad_input(format!(
+            "the inputs belong to different clips: clip `{}`, field `{}`",
+            clip.clip_id, field.clip_id
+        )));
+    }
+    if field.frame_count as usize != clip.frame_count() {
+        return Err(StageError::bad_input(format!(
+            "the clip has {} frames, the field {}",
+            clip.frame_count(),
+            field.frame_count
+        )));
     }
     Ok(())
 }
@@ -323,207 +431,4 @@ fn check_same_clip(clip: &Clip, robot: &RobotMaps, field: &Field) -> StageResult
 fn recon_from_base(field: &Field) -> StageResult<Pose<Recon, Base>> {
     Pose::from_rigid(&field.recon_from_base)
         .map_err(|error| StageError::bad_input(format!("the field's reconstruction frame: {error}")))
-}
-
-fn splat_error(error: SplatError) -> StageError {
-    StageError::bad_input(error.to_string())
-}
-
-/// One rendered camera at one time.
-struct ViewRender {
-    /// `[H, W, 3]`
-    rgb: Vec<f32>,
-    /// Metres, 0 where undefined. `[H, W]`
-    depth_m: Vec<f32>,
-    invalid: u64,
-}
-
-impl ViewRender {
-    fn new(render: &Render) -> Self {
-        let hit = |(depth, &alpha): (f32, &f32)| if alpha > MIN_BLEND_WEIGHT { depth } else { 0.0 };
-        Self {
-            rgb: render.rgb.clone(),
-            depth_m: render
-                .depth_expected_m()
-                .into_iter()
-                .zip(&render.alpha)
-                .map(hit)
-                .collect(),
-            invalid: render.counts.invalid as u64,
-        }
-    }
-
-    fn keep(self, image: &MeasuredImage, clip: &Clip) -> RenderedView {
-        RenderedView {
-            camera: image.score.camera.clone(),
-            frame: image.score.frame,
-            height: clip.height,
-            width: clip.width,
-            // NaN becomes black, as in the scores.
-            rgb: self
-                .rgb
-                .iter()
-                .map(|value| (value.clamp(0.0, 1.0) * 255.0).round() as u8)
-                .collect(),
-            depth_m: self.depth_m,
-        }
-    }
-}
-
-/// A field with the cameras it is rendered from.
-struct Scene<'a> {
-    clip: &'a Clip,
-    robot: &'a RobotMaps,
-    field: TimedField<'a>,
-    recon_from_base: Pose<Recon, Base>,
-}
-
-impl Scene<'_> {
-    fn time(&self, frame: u32) -> f64 {
-        time_of_frame(frame, self.clip.frame_count())
-    }
-
-    /// The camera at a frame, in the reconstruction frame and internal units.
-    fn camera(&self, camera: usize, frame: u32) -> StageResult<rogs_splat::Camera> {
-        let pose = &self.robot.base_from_camera[camera * self.clip.frame_count() + frame as usize];
-        let view = &self.clip.cameras[camera];
-        let base_from_camera: Pose<Base, Camera> = Pose::from_rigid(pose)
-            .map_err(|error| StageError::bad_input(format!("camera `{}`, frame {frame}: {error}", view.id)))?;
-        let camera_from_recon = (self.recon_from_base * base_from_camera).inverse().to_rigid();
-        Ok(rogs_splat::field::field_camera(
-            self.clip.width,
-            self.clip.height,
-            &view.intrinsics,
-            &camera_from_recon,
-        ))
-    }
-
-    fn gaussians(&self, frame: u32) -> StageResult<Gaussians> {
-        self.field.gaussians(self.time(frame)).map_err(|error| {
-            splat_error(error).with_hint(format!(
-                "`lift` must be asked for clip frame {frame} (query, source and anchor frames)"
-            ))
-        })
-    }
-
-    /// All cameras at a frame, in camera order.
-    fn render(&self, frame: u32) -> StageResult<Vec<ViewRender>> {
-        let gaussians = self.gaussians(frame)?;
-        let cameras: StageResult<Vec<_>> = (0..self.clip.cameras.len())
-            .map(|camera| self.camera(camera, frame))
-            .collect();
-        let renders = rogs_splat::render_views(&gaussians, &cameras?, &RasterConfig::default()).map_err(splat_error)?;
-        Ok(renders.iter().map(ViewRender::new).collect())
-    }
-
-    /// Displacement errors from the tracks' anchor time to every other query time. One render a source camera carries
-    /// the displacements to all times as further channels. Empty when the clip has no tracks.
-    fn displacements(&self) -> StageResult<Vec<TrackScore>> {
-        let Some(tracks) = &self.clip.tracks else {
-            return Ok(Vec::new());
-        };
-        let anchor = tracks.anchor_frame;
-        let frames: Vec<u32> = self
-            .clip
-            .query_frames
-            .iter()
-            .copied()
-            .filter(|&frame| frame != anchor)
-            .collect();
-        // Per frame: camera and its valid tracks.
-        let sources = self.clip.source_cameras();
-        let samples: Vec<Vec<(u32, Vec<TrackSample>)>> = frames
-            .iter()
-            .map(|&frame| {
-                sources
-                    .iter()
-                    .map(|&v| (v, robot_tracks(self.clip, self.robot, v, frame)))
-                    .collect()
-            })
-            .collect();
-        let used: Vec<u32> = (sources.iter().copied())
-            .filter(|&v| {
-                samples
-                    .iter()
-                    .flatten()
-                    .any(|(camera, tracks)| *camera == v && !tracks.is_empty())
-            })
-            .collect();
-        let maps = if used.is_empty() {
-            BTreeMap::new()
-        } else {
-            self.displacement_maps(anchor, &frames, &used)?
-        };
-        let (height, width) = (self.clip.height as usize, self.clip.width as usize);
-        let mut scores = Vec::with_capacity(frames.len());
-        for (index, (&frame, samples)) in frames.iter().zip(samples).enumerate() {
-            let mut views = Vec::new();
-            for (camera, tracks) in samples {
-                let Some(maps) = maps.get(&camera).filter(|_| !tracks.is_empty()) else {
-                    continue;
-                };
-                let map = DisplacementMap::new(height, width, &maps.sums_m[index], &maps.weight)
-                    .map_err(|error| StageError::bad_input(error.to_string()))?;
-                views.push((map, tracks));
-            }
-            scores.push(measure_displacement(anchor, frame, &views));
-        }
-        Ok(scores)
-    }
-
-    /// Rendered displacements from `anchor` to each of `frames` in the base frame, per camera.
-    fn displacement_maps(
-        &self,
-        anchor: u32,
-        frames: &[u32],
-        cameras: &[u32],
-    ) -> StageResult<BTreeMap<u32, CameraDisplacements>> {
-        let mut gaussians = self.gaussians(anchor)?;
-        let channels = frames.len() * 3;
-        gaussians.extra_channels = channels;
-        gaussians.extra = vec![0.0; gaussians.len() * channels];
-        let rotation = self.recon_from_base.rotation.transpose();
-        for (index, &frame) in frames.iter().enumerate() {
-            let displacement = self
-                .field
-                .displacement_m(self.time(anchor), self.time(frame))
-                .map_err(splat_error)?;
-            let rows = gaussians
-                .extra
-                .par_chunks_exact_mut(channels)
-                .zip(displacement.par_chunks_exact(3));
-            rows.for_each(|(row, recon)| {
-                let base = rotation * glam::DVec3::new(recon[0].into(), recon[1].into(), recon[2].into());
-                row[index * 3..index * 3 + 3].copy_from_slice(&base.as_vec3().to_array());
-            });
-        }
-        let views: StageResult<Vec<_>> = cameras
-            .iter()
-            .map(|&camera| self.camera(camera as usize, anchor))
-            .collect();
-        let renders = rogs_splat::render_views(&gaussians, &views?, &RasterConfig::default()).map_err(splat_error)?;
-        let split = |render: Render| {
-            let sums_m = (0..frames.len())
-                .map(|index| {
-                    let pixels = render.extra_accumulated.chunks_exact(channels);
-                    pixels
-                        .flat_map(|pixel| pixel[index * 3..index * 3 + 3].iter().copied())
-                        .collect()
-                })
-                .collect();
-            CameraDisplacements {
-                sums_m,
-                weight: render.alpha,
-            }
-        };
-        Ok(cameras.iter().copied().zip(renders.into_iter().map(split)).collect())
-    }
-}
-
-/// Rendered displacements of one camera.
-struct CameraDisplacements {
-    /// Per frame, weighted sums in metres, base frame. `[H, W, 3]`
-    sums_m: Vec<Vec<f32>>,
-    /// Sum of weights. `[H, W]`
-    weight: Vec<f32>,
 }

@@ -6,6 +6,11 @@ use rogs_schemas::records::scores::{ImageScore, ScoreSheet};
 
 use crate::metrics::{Interval, bootstrap_interval, mean};
 
+/// `configuration` of [`WeightsInfo`](rogs_schemas::records::field::WeightsInfo) in the sheets of outside methods.
+pub const OUTSIDE: &str = "outside method";
+/// The same where one factor per camera from recorded source depth brought the fields to metres.
+pub const OUTSIDE_SCALED: &str = "outside method, one source-depth scale per camera";
+
 /// A number of a clip, the same for every table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Metric {

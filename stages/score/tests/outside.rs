@@ -204,9 +204,17 @@ fn fields_are_scaled_turned_and_joined() {
             degree: 0,
             coefficients: vec![0.0; 3],
         },
-        ..one
+        ..one.clone()
     };
-    assert!(merge(&[sh]).is_none());
+    let mixed = merge(&[one, sh]).unwrap();
+    let Colour::Sh {
+        degree: 0,
+        coefficients,
+    } = &mixed.colour
+    else {
+        panic!("plain colours become harmonics beside harmonics");
+    };
+    assert!((coefficients[0] * 0.282_094_8 + 0.5 - 0.1).abs() < 1e-6 && coefficients[3] == 0.0);
 }
 
 #[test]

@@ -32,6 +32,7 @@ pub fn make_plan(manifest: &Manifest, text: &Text, programs: &StagePrograms, sou
     for (index, variant) in variants.enumerate() {
         builder.add_variant(index, variant)?;
     }
+    builder.add_predictions()?;
     let mut plan = Plan {
         format: PLAN_FORMAT.to_owned(),
         name: manifest.run.name.clone(),
@@ -45,6 +46,7 @@ pub fn make_plan(manifest: &Manifest, text: &Text, programs: &StagePrograms, sou
         nodes: std::mem::take(&mut builder.nodes),
         roots: Vec::new(),
         calibrations: Vec::new(),
+        predictions: manifest.predictions.iter().map(|own| own.root.clone()).collect(),
         clips: Vec::new(),
     };
     super::clips::add_clips(&mut plan, manifest, text, programs, sources)?;
@@ -155,6 +157,73 @@ impl Builder<'_> {
                 let node = self.add(node, index);
                 made.insert(stage, node);
             }
+        }
+        Ok(())
+    }
+
+    /// Scores of outside methods: the stage `score` on files instead of a field.
+    fn add_predictions(&mut self) -> Result<()> {
+        let stage = "score";
+        for (index, own) in self.manifest.predictions.iter().enumerate() {
+            if !own.root.is_dir() {
+                let message = format!("`{}` is no folder", own.root.display());
+                let error = self.text.error(&["predictions", "root"], message);
+                return Err(error.with_hint("it holds one folder a clip, named by the clip's id (`rogs status RUN`)"));
+            }
+            let plain = self.describe(stage, &Value::Object(Map::new()))?;
+            self.check_table(&["predictions", stage], &own.score, &plain.default_params)?;
+            let mut params = Value::Object(self.manifest.score.clone());
+            overlay(&mut params, &Value::Object(own.score.clone()));
+            let mut prediction = Map::new();
+            for (name, value) in [("frame", &own.frame), ("scale", &own.scale)] {
+                if let Some(value) = value {
+                    prediction.insert(name.to_owned(), Value::String(value.clone()));
+                }
+            }
+            let mut table = Map::new();
+            table.insert("prediction".to_owned(), Value::Object(prediction));
+            overlay(&mut params, &Value::Object(table));
+            self.fill_in(&mut params, &plain, &own.name.replace('+', "/"));
+            let description = self
+                .describe(stage, &params)
+                .map_err(|error| self.text.error(&["predictions"], format!("`{}`: {error}", own.name)))?;
+            let made = |stage: &str| self.nodes.iter().position(|node| node.stage == stage && !node.by_key);
+            let mut inputs = Vec::new();
+            for input in &description.inputs {
+                let from = match input.role.as_str() {
+                    "clip" => made("ingest").map(From::Node),
+                    "robot" => made("robot-maps").map(From::Node),
+                    "predictions" => Some(From::Prediction(index as u32)),
+                    role => match self.manifest.weights.of(stage, role) {
+                        Some(path) => Some(From::Source(self.source(role, path, &["weights"])?)),
+                        None => None,
+                    },
+                };
+                match from {
+                    Some(from) => inputs.push(NodeInput {
+                        role: input.role.clone(),
+                        from,
+                    }),
+                    None if input.required => {
+                        let message = format!("predictions need the stage that makes `{}`", input.role);
+                        let error = self.text.error(&["predictions"], message);
+                        return Err(error.with_hint("add `robot-maps` to `stages` in [run]"));
+                    }
+                    None => {}
+                }
+            }
+            let node = Node {
+                label: format!("score@{}", own.name),
+                stage: stage.to_owned(),
+                stage_version: description.stage_version,
+                schema: description.output_schema,
+                params: description.default_params,
+                file: output_file("score-1").to_owned(),
+                by_key: true,
+                inputs,
+                variants: vec![0],
+            };
+            self.nodes.push(node);
         }
         Ok(())
     }

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
+use rogs_schemas::ContentHash;
 use serde_json::Map;
 
 use super::build::normalise_overrides;
@@ -69,7 +70,9 @@ pub(super) fn add_clips(
             None => None,
             Some(path) => Some(calibration(plan, path, text, sources)?),
         };
+        let predictions = predictions(plan, &id, sources)?;
         let clip = Clip {
+            predictions,
             id,
             episode: asked.listed.episode_id.clone(),
             layout: asked.listed.layout.clone(),
@@ -228,6 +231,21 @@ fn names(asked: &[Asked<'_>], text: &Text) -> Result<Vec<String>> {
         ids.push(id);
     }
     Ok(ids)
+}
+
+/// Content of a clip's folder in each of the plan's predictions; empty when there is none at all.
+fn predictions(plan: &Plan, id: &str, sources: &SourceCache) -> Result<Vec<Option<ContentHash>>> {
+    let of = |root: &PathBuf| {
+        let folder = root.join(id);
+        let content = folder.is_dir().then(|| sources.source("predictions", &folder));
+        content.transpose()
+    };
+    let all = plan.predictions.iter().map(of).collect::<Result<Vec<_>>>()?;
+    Ok(if all.iter().all(Option::is_none) {
+        Vec::new()
+    } else {
+        all
+    })
 }
 
 fn calibration(plan: &mut Plan, path: &Path, text: &Text, sources: &SourceCache) -> Result<u32> {

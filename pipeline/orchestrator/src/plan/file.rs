@@ -87,6 +87,13 @@ impl Plan {
             if self.upstream(index).any(|upstream| upstream >= index) {
                 return Err(format!("node `{}` reads from a node after it", node.label));
             }
+            let beyond = |input: &super::NodeInput| match input.from {
+                super::From::Prediction(index) => index as usize >= self.predictions.len(),
+                _ => false,
+            };
+            if node.inputs.iter().any(beyond) {
+                return Err(format!("node `{}` reads unknown predictions", node.label));
+            }
             if node.variants.iter().any(|&variant| variant >= self.variants.len()) {
                 return Err(format!("node `{}` is of an unknown variant", node.label));
             }

@@ -70,6 +70,7 @@ impl KeyMaker<'_> {
                 From::Calibration => source
                     .calibration
                     .map(|index| plan.calibrations[index as usize].content.to_string()),
+                From::Prediction(index) => source.prediction(*index).map(|content| content.to_string()),
                 // Nodes are ordered, so the upstream key is there already.
                 From::Node(node) => Some(keys[*node].key.to_string()),
                 From::Source(source) => Some(source.content.to_string()),

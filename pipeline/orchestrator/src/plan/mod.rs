@@ -45,6 +45,9 @@ pub struct Plan {
     pub roots: Vec<PathBuf>,
     /// Calibration files with their content.
     pub calibrations: Vec<Source>,
+    /// Folders with the predictions of outside methods, in the order of the manifest.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub predictions: Vec<PathBuf>,
     /// The clips, in the order of the manifest. One line each in the file.
     #[serde(skip)]
     pub clips: Vec<Clip>,
@@ -90,6 +93,8 @@ pub enum From {
     Episode,
     /// The clip's calibration file, where it has one.
     Calibration,
+    /// The clip's folder in one of [`Plan::predictions`], where it has one.
+    Prediction(u32),
     /// The output of another node, an index into [`Plan::nodes`].
     Node(usize),
     /// The same source for all clips.
@@ -124,9 +129,20 @@ pub struct Clip {
     /// Index into [`Plan::calibrations`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<u32>,
+    /// Content of the clip's folder in each of [`Plan::predictions`]; empty when no method has one.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub predictions: Vec<Option<ContentHash>>,
     /// Parameters of ingest for this clip, normalised, laid over the node's.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub ingest: Map<String, Value>,
+}
+
+impl Clip {
+    /// Content of the clip's folder in one of [`Plan::predictions`], where it has one.
+    #[must_use]
+    pub fn prediction(&self, index: u32) -> Option<ContentHash> {
+        self.predictions.get(index as usize).copied().flatten()
+    }
 }
 
 /// One unit: a clip (index) at a node (index).
@@ -171,6 +187,9 @@ impl Plan {
             From::Calibration => clip
                 .calibration
                 .map(|index| self.calibrations[index as usize].path.clone()),
+            From::Prediction(index) => clip
+                .prediction(*index)
+                .map(|_| self.predictions[*index as usize].join(&clip.id)),
             From::Node(node) => Some(self.run.join(self.output(Unit { node: *node, ..unit }, keys))),
             From::Source(source) => Some(source.path.clone()),
         };

@@ -1,9 +1,11 @@
 //! Calibrated merging of camera-wise fields (paper, appendix on baselines).
 
 use rogs_schemas::RigidPose;
+use rogs_splat::sh::{coefficient_count, coefficient_from_colour};
 use rogs_splat::{Colour, Gaussians};
 
 use crate::metrics::median;
+use crate::outside::harmonics::Turn;
 use crate::outside::{quaternion_of, quaternion_product};
 
 /// The scale factor of a camera's field: median over all valid pixels of all given images of reference over predicted
@@ -23,8 +25,8 @@ pub fn stereo_scale(images: &[(&[f32], &[f32], &[bool])]) -> Option<f64> {
     median(images.iter().flat_map(of).collect())
 }
 
-/// Gaussians scaled about the origin of their frame `b` and brought to frame `a`; colours with directions (spherical
-/// harmonics above degree 0) keep their coefficients. Extra channels are dropped, for their meaning is unknown.
+/// Gaussians scaled about the origin of their frame `b` and brought to frame `a`, spherical harmonics turned with them.
+/// Extra channels are dropped, for their meaning is unknown.
 #[must_use]
 pub fn transformed(gaussians: &Gaussians, a_from_b: &RigidPose, scale: f64) -> Gaussians {
     let RigidPose {
@@ -49,23 +51,41 @@ pub fn transformed(gaussians: &Gaussians, a_from_b: &RigidPose, scale: f64) -> G
             .map(|&own| (f64::from(own) * scale) as f32)
             .collect(),
         opacities: gaussians.opacities.clone(),
-        colour: gaussians.colour.clone(),
+        colour: match &gaussians.colour {
+            Colour::Rgb(rgb) => Colour::Rgb(rgb.clone()),
+            Colour::Sh { degree, coefficients } => {
+                let turn = Turn::new(*degree, a_from_b);
+                let rows = coefficients.chunks_exact(3 * coefficient_count(*degree));
+                Colour::Sh {
+                    degree: *degree,
+                    coefficients: rows.flat_map(|row| turn.apply(row)).collect(),
+                }
+            }
+        },
         extra: Vec::new(),
         extra_channels: 0,
     }
 }
 
-/// The union of fields with plain colours, in order; `None` when one has spherical harmonics or extra channels differ.
+/// The union of fields, in order. Plain colours stay so where all fields have them; else all become spherical harmonics
+/// of the highest degree. `None` when the numbers of extra channels differ.
 #[must_use]
 pub fn merge(fields: &[Gaussians]) -> Option<Gaussians> {
     let mut out = Gaussians::empty();
-    let mut rgb = Vec::new();
+    let degree = fields.iter().filter_map(|field| match &field.colour {
+        Colour::Rgb(_) => None,
+        Colour::Sh { degree, .. } => Some(*degree),
+    });
+    let degree = degree.max();
+    let mut colours = Vec::new();
     for (index, field) in fields.iter().enumerate() {
-        let Colour::Rgb(own) = &field.colour else { return None };
         if index > 0 && field.extra_channels != out.extra_channels {
             return None;
         }
-        rgb.extend_from_slice(own);
+        match degree {
+            None => colours.extend_from_slice(field.colour.values()),
+            Some(degree) => widen(&field.colour, coefficient_count(degree), &mut colours),
+        }
         out.means.extend_from_slice(&field.means);
         out.quats.extend_from_slice(&field.quats);
         out.scales.extend_from_slice(&field.scales);
@@ -73,6 +93,24 @@ pub fn merge(fields: &[Gaussians]) -> Option<Gaussians> {
         out.extra.extend_from_slice(&field.extra);
         out.extra_channels = field.extra_channels;
     }
-    out.colour = Colour::Rgb(rgb);
+    out.colour = match degree {
+        None => Colour::Rgb(colours),
+        Some(degree) => Colour::Sh {
+            degree,
+            coefficients: colours,
+        },
+    };
     Some(out)
+}
+
+/// Appends colours as harmonics with `count` coefficients a channel.
+fn widen(colour: &Colour, count: usize, out: &mut Vec<f32>) {
+    let (own, values) = match colour {
+        Colour::Rgb(rgb) => (1, rgb.iter().map(|&value| coefficient_from_colour(value)).collect()),
+        Colour::Sh { degree, coefficients } => (coefficient_count(*degree), coefficients.clone()),
+    };
+    for row in values.chunks_exact(3 * own) {
+        out.extend_from_slice(row);
+        out.extend(std::iter::repeat_n(0.0, 3 * (count - own)));
+    }
 }

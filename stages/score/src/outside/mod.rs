@@ -1,17 +1,31 @@
 //! Fields of outside methods, evaluated natively: 4DGT's polynomial Gaussians and Shape of Motion's motion bases, and
 //! the calibrated merging of camera-wise fields in the robot base frame.
 //!
+//! [`OutsideField`] and [`ImagePredictions`] read what a method left in a folder of files.
+//!
 //! Lengths are metres; a state at a time is a plain set of Gaussians that the same rasteriser renders.
 
+mod arrays;
+mod field;
+mod harmonics;
+mod images;
 mod merge;
 mod motion_basis;
 mod polynomial;
 mod recentre;
+mod sampled;
+mod zip;
 
+use std::path::{Path, PathBuf};
+
+pub use arrays::{Array, ArrayFile, Values};
+pub use field::{FieldFrame, OutsideField};
+pub use images::{CameraImages, ImagePredictions};
 pub use merge::{merge, stereo_scale, transformed};
 pub use motion_basis::{MotionBasisField, MotionBasisParts};
 pub use polynomial::{PolynomialField, PolynomialState};
 pub use recentre::mean_frame;
+pub use sampled::SampledField;
 
 /// Why an outside field cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -35,6 +49,34 @@ pub enum OutsideError {
         /// How many there are.
         frames: usize,
     },
+    /// A clip frame that was not exported.
+    #[error(
+        "there is nothing for clip frame {frame}; frames: {}",
+        frames.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
+    )]
+    MissingFrame {
+        /// What was asked for.
+        frame: u32,
+        /// What is there.
+        frames: Vec<u32>,
+    },
+    /// A file that cannot be used.
+    #[error("`{}`: {what}", path.display())]
+    File {
+        /// The file or folder.
+        path: PathBuf,
+        /// What is wrong with it.
+        what: String,
+    },
+}
+
+impl OutsideError {
+    pub(crate) fn file(path: &Path, what: impl Into<String>) -> Self {
+        Self::File {
+            path: path.to_owned(),
+            what: what.into(),
+        }
+    }
 }
 
 /// Fails unless an array has the expected length.

@@ -2,6 +2,7 @@
 
 use rogs_splat::{Colour, Gaussians};
 
+use crate::outside::arrays::{Array, ArrayFile};
 use crate::outside::{OutsideError, expect, quaternion_of, quaternion_product};
 
 /// Raw parameters as the checkpoint has them.
@@ -27,6 +28,38 @@ pub struct MotionBasisParts {
     pub opacities: Vec<f32>,
     /// Logits of the colours. `[G + B, 3]`
     pub colours: Vec<f32>,
+}
+
+impl MotionBasisParts {
+    /// Reads a checkpoint's tensors by their names in Shape of Motion (`fg.params.means`, `motion_bases.params.rots`, ...),
+    /// with or without `model.` before them. The background may be missing.
+    ///
+    /// # Errors
+    /// When a tensor is missing or has the wrong shape.
+    pub fn read(file: &ArrayFile) -> Result<Self, OutsideError> {
+        let find = |name: &str| file.find(&[name, &format!("model.{name}")]);
+        let need = |name: &str| file.need(&[name, &format!("model.{name}")]);
+        let both = |part: &str| -> Result<Vec<f32>, OutsideError> {
+            let mut values = need(&format!("fg.params.{part}"))?.into_floats();
+            let background = find(&format!("bg.params.{part}"))?;
+            values.extend(background.map(Array::into_floats).unwrap_or_default());
+            Ok(values)
+        };
+        let rotations = need("motion_bases.params.rots")?;
+        rotations.expect_shape(file.path(), &[&[0, 0, 6]])?;
+        Ok(Self {
+            bases: rotations.shape[0],
+            frames: rotations.shape[1],
+            rotations: rotations.into_floats(),
+            translations: need("motion_bases.params.transls")?.into_floats(),
+            coefficients: need("fg.params.motion_coefs")?.into_floats(),
+            means: both("means")?,
+            quats: both("quats")?,
+            scales: both("scales")?,
+            opacities: both("opacities")?,
+            colours: both("colors")?,
+        })
+    }
 }
 
 /// A field with its mixture weights.

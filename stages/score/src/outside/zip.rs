@@ -1,0 +1,188 @@
+//! The part of the ZIP format that `.npz` files use: stored and deflated members, ZIP64 sizes, checksums.
+//!
+//! Nothing is allocated beyond what the file's length, the member's declared size and [`MAX_MEMBER`] allow.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{Read as _, Seek as _, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use crate::outside::OutsideError;
+
+/// Largest member that is read, bytes.
+const MAX_MEMBER: u64 = 1 << 33;
+/// Longest directory that is read, bytes.
+const MAX_DIRECTORY: u64 = 1 << 26;
+/// End record without its comment.
+const END_LENGTH: usize = 22;
+/// Longest tail in which the end record can lie, with its ZIP64 locator.
+const MAX_TAIL: u64 = 65_535 + END_LENGTH as u64 + 20;
+
+/// A member of an archive.
+#[derive(Debug, Clone, Copy)]
+struct Member {
+    method: u16,
+    crc: u32,
+    packed: u64,
+    size: u64,
+    header_at: u64,
+}
+
+/// An opened archive.
+#[derive(Debug)]
+pub(crate) struct Zip {
+    path: PathBuf,
+    length: u64,
+    members: BTreeMap<String, Member>,
+}
+
+impl Zip {
+    /// Reads the directory of an archive.
+    pub(crate) fn open(path: &Path) -> Result<Self, OutsideError> {
+        let mut zip = Self {
+            path: path.to_owned(),
+            length: 0,
+            members: BTreeMap::new(),
+        };
+        let mut file = zip.file()?;
+        zip.length = file.metadata().map_err(|error| zip.io(&error))?.len();
+        let tail_at = zip.length.saturating_sub(MAX_TAIL);
+        let tail = zip.bytes(&mut file, tail_at, zip.length - tail_at)?;
+        let end = (0..=tail.len().saturating_sub(END_LENGTH))
+            .rev()
+            .find(|&at| tail[at..].starts_with(b"PK\x05\x06"))
+            .ok_or_else(|| zip.damaged("it has no directory: the file is cut off or no `.npz`"))?;
+        let (mut count, mut size, mut at) = (
+            u64::from(u16_at(&tail, end + 10)),
+            u64::from(u32_at(&tail, end + 12)),
+            u64::from(u32_at(&tail, end + 16)),
+        );
+        let locator = end.checked_sub(20).filter(|&at| tail[at..].starts_with(b"PK\x06\x07"));
+        if let Some(locator) = locator {
+            let record = zip.bytes(&mut file, u64_at(&tail, locator + 8), 56)?;
+            if !record.starts_with(b"PK\x06\x06") {
+                return Err(zip.damaged("its ZIP64 record is not where it should be"));
+            }
+            (count, size, at) = (u64_at(&record, 32), u64_at(&record, 40), u64_at(&record, 48));
+        }
+        if size > MAX_DIRECTORY {
+            return Err(zip.damaged("its directory is too long"));
+        }
+        let directory = zip.bytes(&mut file, at, size)?;
+        zip.read_directory(&directory, count)?;
+        Ok(zip)
+    }
+
+    /// Names of the members, ascending.
+    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+        self.members.keys().map(String::as_str)
+    }
+
+    /// The bytes of a member; `None` when there is none of this name.
+    pub(crate) fn read(&self, name: &str) -> Result<Option<Vec<u8>>, OutsideError> {
+        let Some(&member) = self.members.get(name) else {
+            return Ok(None);
+        };
+        let wrong = |what: &str| self.damaged(&format!("member `{name}` {what}"));
+        if member.size > MAX_MEMBER || member.packed > MAX_MEMBER {
+            return Err(wrong("is larger than 8 GiB"));
+        }
+        let mut file = self.file()?;
+        let header = self.bytes(&mut file, member.header_at, 30)?;
+        if !header.starts_with(b"PK\x03\x04") {
+            return Err(wrong("is not where the directory says"));
+        }
+        let skip = 30 + u64::from(u16_at(&header, 26)) + u64::from(u16_at(&header, 28));
+        let packed = self.bytes(&mut file, member.header_at.saturating_add(skip), member.packed)?;
+        let bytes = match member.method {
+            0 => packed,
+            8 => miniz_oxide::inflate::decompress_to_vec_with_limit(&packed, member.size as usize)
+                .map_err(|_| wrong("cannot be unpacked"))?,
+            other => return Err(wrong(&format!("is packed by method {other}; use numpy.savez"))),
+        };
+        if bytes.len() as u64 != member.size || crc32fast::hash(&bytes) != member.crc {
+            return Err(wrong("is damaged: length or checksum differ"));
+        }
+        Ok(Some(bytes))
+    }
+
+    fn read_directory(&mut self, directory: &[u8], count: u64) -> Result<(), OutsideError> {
+        let mut rest = directory;
+        for _ in 0..count {
+            if rest.len() < 46 || !rest.starts_with(b"PK\x01\x02") {
+                return Err(self.damaged("its directory is damaged"));
+            }
+            let (name, extra, comment) = (u16_at(rest, 28), u16_at(rest, 30), u16_at(rest, 32));
+            let (name, extra, comment) = (usize::from(name), usize::from(extra), usize::from(comment));
+            let next = 46 + name + extra + comment;
+            if rest.len() < next {
+                return Err(self.damaged("its directory is cut off"));
+            }
+            let mut member = Member {
+                method: u16_at(rest, 10),
+                crc: u32_at(rest, 16),
+                packed: u64::from(u32_at(rest, 20)),
+                size: u64::from(u32_at(rest, 24)),
+                header_at: u64::from(u32_at(rest, 42)),
+            };
+            let fields = [&mut member.size, &mut member.packed, &mut member.header_at];
+            widen(&rest[46 + name..46 + name + extra], fields);
+            let key = String::from_utf8_lossy(&rest[46..46 + name]).into_owned();
+            if self.members.insert(key.clone(), member).is_some() {
+                return Err(self.damaged(&format!("it has two members `{key}`")));
+            }
+            rest = &rest[next..];
+        }
+        Ok(())
+    }
+
+    fn file(&self) -> Result<File, OutsideError> {
+        File::open(&self.path).map_err(|error| self.io(&error))
+    }
+
+    fn bytes(&self, file: &mut File, at: u64, length: u64) -> Result<Vec<u8>, OutsideError> {
+        if at.checked_add(length).is_none_or(|end| end > self.length) {
+            return Err(self.damaged("it is cut off, or its directory points beyond its end"));
+        }
+        file.seek(SeekFrom::Start(at)).map_err(|error| self.io(&error))?;
+        let mut bytes = vec![0; length as usize];
+        file.read_exact(&mut bytes).map_err(|error| self.io(&error))?;
+        Ok(bytes)
+    }
+
+    fn io(&self, error: &std::io::Error) -> OutsideError {
+        OutsideError::file(&self.path, error.to_string())
+    }
+
+    fn damaged(&self, what: &str) -> OutsideError {
+        OutsideError::file(&self.path, what.to_owned())
+    }
+}
+
+/// Replaces 32-bit fields that are all ones by the values of the ZIP64 extra field, in its order.
+fn widen(mut extra: &[u8], fields: [&mut u64; 3]) {
+    while extra.len() >= 4 {
+        let (id, length) = (u16_at(extra, 0), usize::from(u16_at(extra, 2)));
+        let Some(body) = extra.get(4..4 + length) else { return };
+        if id == 1 {
+            let mut values = body.chunks_exact(8).map(|eight| u64_at(eight, 0));
+            for field in fields.into_iter().filter(|field| **field == u64::from(u32::MAX)) {
+                *field = values.next().unwrap_or(u64::MAX);
+            }
+            return;
+        }
+        extra = &extra[4 + length..];
+    }
+}
+
+fn u16_at(bytes: &[u8], at: usize) -> u16 {
+    u16::from_le_bytes([bytes[at], bytes[at + 1]])
+}
+
+fn u32_at(bytes: &[u8], at: usize) -> u32 {
+    u32::from(u16_at(bytes, at)) | u32::from(u16_at(bytes, at + 2)) << 16
+}
+
+fn u64_at(bytes: &[u8], at: usize) -> u64 {
+    u64::from(u32_at(bytes, at)) | u64::from(u32_at(bytes, at + 4)) << 32
+}
