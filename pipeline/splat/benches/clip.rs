@@ -10,8 +10,8 @@
 use std::time::Instant;
 
 use rogs_splat::{
-    Camera, Colour, Eligible, Gaussians, RasterConfig, RenderGradient, SimdLevel, backward, render,
-    render_with_contributions, render_with_tape,
+    Camera, Colour, Eligible, Gaussians, Gradients, RasterConfig, RenderGradient, SimdLevel, backward, backward_into,
+    backward_views, render, render_views, render_views_with_tape, render_with_contributions, render_with_tape,
 };
 
 #[path = "../tests/common/room.rs"]
@@ -40,6 +40,9 @@ fn main() {
         let camera = room::camera(width, height);
         bench_forward(&scene, &camera, rounds, sketch.as_ref());
     }
+    if part("views") {
+        bench_views(&scene, rounds);
+    }
     if part("contributions") {
         bench_contributions(&scene, rounds);
     }
@@ -48,7 +51,7 @@ fn main() {
     }
 }
 
-/// Whether a part is asked for: `ROGS_BENCH_PARTS`, a list of forward, backward, contributions, levels; all by default.
+/// Whether a part is asked for: `ROGS_BENCH_PARTS`, a list of forward, backward, views, contributions, levels; all by default.
 fn part(name: &str) -> bool {
     std::env::var("ROGS_BENCH_PARTS").map_or(true, |parts| parts.split(',').any(|p| p == name))
 }
@@ -170,6 +173,60 @@ fn bench_forward(scene: &Gaussians, camera: &Camera, rounds: usize, sketch: Opti
         }
         if sketch.is_some() {
             println!("{name:24} image against the sketch: {psnr:.1} dB");
+        }
+    }
+}
+
+/// Six cameras at once against one after the other.
+fn bench_views(scene: &Gaussians, rounds: usize) {
+    let config = RasterConfig {
+        near: 0.01,
+        far: 1e10,
+        ..RasterConfig::default()
+    };
+    let cameras: Vec<Camera> = (0..6)
+        .map(|k| room::camera_from([0.84 - 0.02 * f64::from(k), 0.96 - 0.05 * f64::from(k), 0.8], 280, 154))
+        .collect();
+    let gradient_rgb = room::normals(3 * cameras[0].pixels(), 1);
+    let gradient = RenderGradient {
+        rgb: &gradient_rgb,
+        ..RenderGradient::default()
+    };
+    for threads in threads() {
+        let pool = pool(threads);
+        let mut times: [Times; 4] = Default::default();
+        for _ in 0..rounds {
+            let [single, together, single_both, both] = &mut times;
+            single.run(|| pool.install(|| cameras.iter().for_each(|camera| drop(render(scene, camera, &config)))));
+            together
+                .run(|| pool.install(|| render_views(scene, &cameras, &config)))
+                .expect("renders");
+            single_both.run(|| {
+                pool.install(|| {
+                    let mut sum = Gradients::zeros(scene);
+                    for camera in &cameras {
+                        let (_, tape) = render_with_tape(scene, camera, &config).expect("a tape");
+                        backward_into(scene, &config, &tape, &gradient, &mut sum).expect("gradients");
+                    }
+                    sum
+                })
+            });
+            both.run(|| {
+                pool.install(|| {
+                    let (_, tapes) = render_views_with_tape(scene, &cameras, &config).expect("tapes");
+                    backward_views(scene, &config, &tapes, &[gradient; 6]).expect("gradients")
+                })
+            });
+        }
+        let names = [
+            "forward, one by one",
+            "forward, together",
+            "both, one by one",
+            "both, together",
+        ];
+        for (name, times) in names.iter().zip(&times) {
+            let (wall, cpu) = (times.best() / 6.0, times.best_cpu() / 6.0);
+            println!("6 views {threads} thread(s) {name:24} {wall:7.1} ms a view (cpu {cpu:.1})");
         }
     }
 }

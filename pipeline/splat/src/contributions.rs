@@ -10,11 +10,11 @@ use std::ops::Range;
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
-use crate::camera::{Camera, RasterConfig, View};
+use crate::camera::{Camera, RasterConfig};
 use crate::error::{Result, SplatError};
 use crate::gaussians::Gaussians;
-use crate::project::{CHUNK, Projection, project};
-use crate::render::{Render, TileOutput, Work, check};
+use crate::project::{CHUNK, Projection, for_each_view};
+use crate::render::{Render, TileOutput, Work, check_views};
 use crate::simd::{LANES, SimdLevel, dispatch};
 use crate::tile::BLOCK;
 
@@ -119,7 +119,7 @@ pub fn render_views_with_contributions(
     config: &RasterConfig,
     eligible: &Eligible,
 ) -> Result<(Vec<Render>, Contributions)> {
-    gaussians.validate()?;
+    let views = check_views(gaussians, cameras, config)?;
     let rows = eligible.indices(gaussians.len())?;
     let mut is_eligible = vec![0_u64; gaussians.len().div_ceil(64)];
     for &row in &rows {
@@ -133,30 +133,24 @@ pub fn render_views_with_contributions(
             pixels - camera.pixels()
         })
         .collect();
-    let (renders, views): (Vec<Render>, Vec<ViewContributions>) = cameras
-        .par_iter()
-        .zip(offsets)
-        .map(|(camera, pixel_offset)| {
-            check(gaussians, camera, config)?;
-            let view = View::new(camera);
-            let projection = project(gaussians, &view, config)?;
-            let eligible = |index: u32| is_eligible[index as usize / 64] >> (index % 64) & 1 != 0;
-            let work = Work {
-                gaussians,
-                view: &view,
-                config,
-                projection: &projection,
-                eligible: &eligible,
-            };
-            let mut tiles = work.tiles::<false, true>();
-            let render = work.image(&tiles);
-            tiles.par_iter_mut().for_each(sort_by_slot);
-            let pieces = pieces(&tiles, &projection, &rows, gaussians.len(), view.width);
-            Ok((render, ViewContributions { pixel_offset, pieces }))
-        })
-        .collect::<Result<Vec<_>>>()?
-        .into_iter()
-        .unzip();
+    let is_eligible = |index: u32| is_eligible[index as usize / 64] >> (index % 64) & 1 != 0;
+    let (renders, views) = for_each_view(gaussians, &views, config, |index, view, projection| {
+        let work = Work {
+            gaussians,
+            view,
+            config,
+            projection: &projection,
+            eligible: &is_eligible,
+        };
+        let mut tiles = work.tiles::<false, true>();
+        let render = work.image(&tiles);
+        tiles.par_iter_mut().for_each(sort_by_slot);
+        let pieces = pieces(&tiles, &projection, &rows, gaussians.len(), view.width);
+        let pixel_offset = offsets[index];
+        Ok((render, ViewContributions { pixel_offset, pieces }))
+    })?
+    .into_iter()
+    .unzip();
     Ok((
         renders,
         Contributions {

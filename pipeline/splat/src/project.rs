@@ -131,44 +131,99 @@ impl Grid {
     }
 }
 
-/// Projects a scene into a view.
+/// Projects a scene into several views at once: every Gaussian is loaded, checked and turned into its 3D shape once.
 ///
 /// # Errors
 /// When so many Gaussians cover so many tiles that the lists would not fit in memory.
-pub(crate) fn project(gaussians: &Gaussians, view: &View, config: &RasterConfig) -> Result<Projection> {
-    let grid = Grid::new(view, config.tile_size as usize);
-    let mut records = RecordBuffer::take(gaussians.len());
-    let chunks: Vec<ChunkBins> = records.0[..gaussians.len()]
-        .par_chunks_mut(CHUNK)
+pub(crate) fn project_views(gaussians: &Gaussians, views: &[View], config: &RasterConfig) -> Result<Vec<Projection>> {
+    let count = gaussians.len();
+    let mut buffers: Vec<RecordBuffer> = views.iter().map(|_| RecordBuffer::take(count)).collect();
+    let grids: Vec<Grid> = views
+        .iter()
+        .map(|view| Grid::new(view, config.tile_size as usize))
+        .collect();
+    // Records of every chunk: one slice per view.
+    let mut pieces: Vec<Vec<&mut [Projected]>> = Vec::new();
+    pieces.resize_with(count.div_ceil(CHUNK), || Vec::with_capacity(views.len()));
+    for buffer in &mut buffers {
+        for (piece, records) in pieces.iter_mut().zip(buffer.0[..count].chunks_mut(CHUNK)) {
+            piece.push(records);
+        }
+    }
+    let chunks: Vec<Vec<ChunkBins>> = pieces
+        .into_par_iter()
         .enumerate()
-        .map_init(Vec::new, |entries, (chunk, records)| {
-            let first = chunk * CHUNK;
-            dispatch(
-                config.simd,
-                ProjectChunk {
+        .map_init(
+            || vec![Vec::new(); views.len()],
+            |entries, (chunk, records)| {
+                let kernel = ProjectChunk {
                     gaussians,
-                    view,
+                    views,
                     config,
-                    grid,
-                    first,
+                    grids: &grids,
+                    first: chunk * CHUNK,
                     records,
                     entries,
-                },
-            )
-        })
+                };
+                dispatch(config.simd, kernel)
+            },
+        )
         .collect::<Result<_>>()?;
-    let visible = chunks.iter().map(|c| c.visible).sum();
-    let invalid = chunks.iter().map(|c| c.invalid).sum();
-    if chunks.iter().map(|c| c.keys.len()).sum::<usize>() > MAX_TILE_ENTRIES {
+    let mut projections: Vec<Projection> = buffers
+        .into_iter()
+        .zip(grids)
+        .map(|(records, grid)| Projection {
+            records,
+            chunks: Vec::with_capacity(chunks.len()),
+            grid,
+            visible: 0,
+            invalid: 0,
+        })
+        .collect();
+    for views in chunks {
+        for (projection, chunk) in projections.iter_mut().zip(views) {
+            projection.visible += chunk.visible;
+            projection.invalid += chunk.invalid;
+            projection.chunks.push(chunk);
+        }
+    }
+    let entries = |projection: &Projection| projection.chunks.iter().map(|c| c.keys.len()).sum::<usize>();
+    if projections
+        .iter()
+        .any(|projection| entries(projection) > MAX_TILE_ENTRIES)
+    {
         return Err(too_many());
     }
-    Ok(Projection {
-        records,
-        chunks,
-        grid,
-        visible,
-        invalid,
-    })
+    Ok(projections)
+}
+
+/// Views that are projected together. Their records are in memory at the same time, and as many buffers are kept from
+/// one group to the next.
+pub(crate) const GROUP: usize = 4;
+
+/// Projects a scene into all views, group by group, and hands every projection on; results are in the order of the views.
+///
+/// # Errors
+/// As [`project_views`] and the function's own; the first view's in order of the groups.
+pub(crate) fn for_each_view<T: Send>(
+    gaussians: &Gaussians,
+    views: &[View],
+    config: &RasterConfig,
+    f: impl Fn(usize, &View, Projection) -> Result<T> + Sync,
+) -> Result<Vec<T>> {
+    let mut results = Vec::with_capacity(views.len());
+    for (group, views) in views.chunks(GROUP).enumerate() {
+        let projections = project_views(gaussians, views, config)?;
+        results.extend::<Vec<Result<T>>>(
+            projections
+                .into_par_iter()
+                .zip(views)
+                .enumerate()
+                .map(|(index, (projection, view))| f(group * GROUP + index, view, projection))
+                .collect(),
+        );
+    }
+    results.into_iter().collect()
 }
 
 fn too_many() -> SplatError {
@@ -178,64 +233,83 @@ fn too_many() -> SplatError {
     }
 }
 
+/// Tiles reached: (tile, depth bits and record).
+type Entries = Vec<(u32, u64)>;
+
 struct ProjectChunk<'a> {
     gaussians: &'a Gaussians,
-    view: &'a View,
+    views: &'a [View],
     config: &'a RasterConfig,
-    grid: Grid,
+    grids: &'a [Grid],
     first: usize,
-    records: &'a mut [Projected],
-    /// (tile, depth bits and record), reused from chunk to chunk.
-    entries: &'a mut Vec<(u32, u64)>,
+    /// One slice per view.
+    records: Vec<&'a mut [Projected]>,
+    /// One list per view, reused from chunk to chunk.
+    entries: &'a mut [Entries],
 }
 
 impl WithSimd for ProjectChunk<'_> {
-    type Output = Result<ChunkBins>;
+    /// One per view.
+    type Output = Result<Vec<ChunkBins>>;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _simd: S) -> Result<ChunkBins> {
+    fn with_simd<S: Simd>(self, _simd: S) -> Result<Vec<ChunkBins>> {
         let Self {
             gaussians,
-            view,
+            views,
             config,
-            grid,
+            grids,
             first,
-            records,
+            mut records,
             entries,
         } = self;
-        entries.clear();
-        let mut bins = ChunkBins::default();
+        entries.iter_mut().for_each(Vec::clear);
+        let mut bins: Vec<ChunkBins> = views.iter().map(|_| ChunkBins::default()).collect();
         let mut block = Block::new();
         let mut out = BlockOut::new();
+        let length = records.first().map_or(0, |records| records.len());
         let mut start = 0;
-        while start < records.len() {
-            let count = LANES.min(records.len() - start);
+        while start < length {
+            let count = LANES.min(length - start);
             block.load(gaussians, first + start, count);
-            project_lanes(&block, view, config, grid.tile as f32, &mut out);
-            for lane in 0..count {
-                let gaussian = first + start + lane;
-                if out.valid[lane] == 0 || !tail_is_finite(gaussians, gaussian) {
-                    bins.invalid += 1;
-                    continue;
+            block.prepare();
+            for (view, own) in views.iter().enumerate() {
+                project_lanes(&block, own, config, grids[view].tile as f32, &mut out);
+                let (bins, entries) = (&mut bins[view], &mut entries[view]);
+                for lane in 0..count {
+                    let gaussian = first + start + lane;
+                    if out.valid[lane] == 0 || !tail_is_finite(gaussians, gaussian) {
+                        bins.invalid += 1;
+                        continue;
+                    }
+                    if out.visible[lane] == 0 {
+                        continue;
+                    }
+                    let record = out.record(lane, gaussian, own, gaussians);
+                    let before = entries.len();
+                    file(
+                        &record,
+                        &out,
+                        lane,
+                        (first + bins.visible) as u32,
+                        &grids[view],
+                        entries,
+                    );
+                    if entries.len() == before {
+                        continue;
+                    }
+                    if entries.len() > MAX_TILE_ENTRIES {
+                        return Err(too_many());
+                    }
+                    records[view][bins.visible] = record;
+                    bins.visible += 1;
                 }
-                if out.visible[lane] == 0 {
-                    continue;
-                }
-                let record = out.record(lane, gaussian, view, gaussians);
-                let before = entries.len();
-                file(&record, &out, lane, (first + bins.visible) as u32, &grid, entries);
-                if entries.len() == before {
-                    continue;
-                }
-                if entries.len() > MAX_TILE_ENTRIES {
-                    return Err(too_many());
-                }
-                records[bins.visible] = record;
-                bins.visible += 1;
             }
             start += count;
         }
-        bins.sort(entries, grid.tiles());
+        for ((bins, entries), grid) in bins.iter_mut().zip(entries).zip(grids) {
+            bins.sort(entries, grid.tiles());
+        }
         Ok(bins)
     }
 }
@@ -278,7 +352,7 @@ fn tail_is_finite(gaussians: &Gaussians, index: usize) -> bool {
 
 /// Adds the tiles that a Gaussian reaches: those of its bounding box whose nearest point lies inside the level set.
 #[inline(always)]
-fn file(record: &Projected, out: &BlockOut, lane: usize, index: u32, grid: &Grid, entries: &mut Vec<(u32, u64)>) {
+fn file(record: &Projected, out: &BlockOut, lane: usize, index: u32, grid: &Grid, entries: &mut Entries) {
     let (column0, column1) = (out.tiles[0][lane] as usize, out.tiles[1][lane] as usize);
     let (row0, row1) = (out.tiles[2][lane] as usize, out.tiles[3][lane] as usize);
     let key = (u64::from(record.z.to_bits()) << 32) | u64::from(index);
@@ -328,7 +402,7 @@ pub(crate) fn reaches(g: &Projected, x: usize, y: usize, size: usize) -> bool {
     power(ex, y_best).max(power(x_best, ey)) >= g.power_min
 }
 
-/// Inputs of sixteen Gaussians, component-major.
+/// Inputs of sixteen Gaussians, component-major, and what follows from them for every view.
 struct Block {
     mean: [[f32; LANES]; 3],
     quat: [[f32; LANES]; 4],
@@ -336,6 +410,9 @@ struct Block {
     opacity: [f32; LANES],
     /// Plain colours; zeros for harmonics.
     rgb: [[f32; LANES]; 3],
+    /// Rotation matrix, row-major.
+    rotation: [[f32; LANES]; 9],
+    valid: [u32; LANES],
 }
 
 impl Block {
@@ -347,6 +424,8 @@ impl Block {
             scale: three,
             opacity: [0.0; LANES],
             rgb: three,
+            rotation: [[0.0; LANES]; 9],
+            valid: [0; LANES],
         }
     }
 
@@ -358,6 +437,27 @@ impl Block {
         self.opacity[..count].copy_from_slice(&gaussians.opacities[first..first + count]);
         if let Colour::Rgb(rgb) = &gaussians.colour {
             transpose(&mut self.rgb, &rgb[3 * first..3 * (first + count)]);
+        }
+    }
+
+    /// What does not depend on the view: whether the values make sense, and the rotation.
+    #[inline(always)]
+    fn prepare(&mut self) {
+        for l in 0..LANES {
+            let m = [self.mean[0][l], self.mean[1][l], self.mean[2][l]];
+            let q = [self.quat[0][l], self.quat[1][l], self.quat[2][l], self.quat[3][l]];
+            let s = [self.scale[0][l], self.scale[1][l], self.scale[2][l]];
+            let o = self.opacity[l];
+            let norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+            let rgb = self.rgb[0][l] + self.rgb[1][l] + self.rgb[2][l];
+            let zero = m[0] * 0.0 + m[1] * 0.0 + m[2] * 0.0 + (s[0] + s[1] + s[2] + o + norm2) * 0.0 + rgb * 0.0;
+            let valid = (zero == 0.0) & (norm2 > 1e-20) & (s[0] >= 0.0) & (s[1] >= 0.0) & (s[2] >= 0.0) & (o >= 0.0);
+            self.valid[l] = u32::from(valid);
+            let inv_norm = 1.0 / norm2.max(1e-30).sqrt();
+            let rotation = rotation([q[0] * inv_norm, q[1] * inv_norm, q[2] * inv_norm, q[3] * inv_norm]);
+            for k in 0..9 {
+                self.rotation[k][l] = rotation[k];
+            }
         }
     }
 }
@@ -489,13 +589,9 @@ fn project_lanes(block: &Block, view: &View, config: &RasterConfig, tile: f32, o
     let inv_tile = 1.0 / tile;
     for l in 0..LANES {
         let m = [block.mean[0][l], block.mean[1][l], block.mean[2][l]];
-        let q = [block.quat[0][l], block.quat[1][l], block.quat[2][l], block.quat[3][l]];
         let s = [block.scale[0][l], block.scale[1][l], block.scale[2][l]];
         let o = block.opacity[l];
-        let norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
-        let rgb = block.rgb[0][l] + block.rgb[1][l] + block.rgb[2][l];
-        let zero = m[0] * 0.0 + m[1] * 0.0 + m[2] * 0.0 + (s[0] + s[1] + s[2] + o + norm2) * 0.0 + rgb * 0.0;
-        let valid = (zero == 0.0) & (norm2 > 1e-20) & (s[0] >= 0.0) & (s[1] >= 0.0) & (s[2] >= 0.0) & (o >= 0.0);
+        let valid = block.valid[l] != 0;
 
         let x = r[0] * m[0] + r[1] * m[1] + r[2] * m[2] + t[0];
         let y = r[3] * m[0] + r[4] * m[1] + r[5] * m[2] + t[1];
@@ -512,9 +608,8 @@ fn project_lanes(block: &Block, view: &View, config: &RasterConfig, tile: f32, o
         let (j4, j5) = (fy * inv_z, -fy * uy * inv_z);
         let a = [j0 * r[0] + j2 * r[6], j0 * r[1] + j2 * r[7], j0 * r[2] + j2 * r[8]];
         let b = [j4 * r[3] + j5 * r[6], j4 * r[4] + j5 * r[7], j4 * r[5] + j5 * r[8]];
-        let inv_norm = 1.0 / norm2.max(1e-30).sqrt();
-        let rq = rotation([q[0] * inv_norm, q[1] * inv_norm, q[2] * inv_norm, q[3] * inv_norm]);
-        let row = |a: &[f32; 3], k: usize| (a[0] * rq[k] + a[1] * rq[3 + k] + a[2] * rq[6 + k]) * s[k];
+        let rq = &block.rotation;
+        let row = |a: &[f32; 3], k: usize| (a[0] * rq[k][l] + a[1] * rq[3 + k][l] + a[2] * rq[6 + k][l]) * s[k];
         let (u0, u1, u2) = (row(&a, 0), row(&a, 1), row(&a, 2));
         let (v0, v1, v2) = (row(&b, 0), row(&b, 1), row(&b, 2));
         let a0 = u0 * u0 + u1 * u1 + u2 * u2;

@@ -3,10 +3,10 @@
 use rayon::prelude::*;
 
 use crate::camera::{ALPHA_FLOOR, Camera, RasterConfig, View};
-use crate::error::Result;
+use crate::error::{Result, SplatError};
 use crate::gaussians::Gaussians;
 use crate::order::TileList;
-use crate::project::{Projection, project};
+use crate::project::{Projection, for_each_view};
 use crate::simd::{LANES, dispatch};
 use crate::tile::{BLOCK, BlockState, Composite, EXTRA, Extra, MAX_BLOCKS, Recorded, TileArea};
 
@@ -53,35 +53,42 @@ pub struct Counts {
 /// When arrays, camera or settings make no sense. Bad values of single Gaussians are no error: these are dropped and
 /// counted in [`Counts::invalid`].
 pub fn render(gaussians: &Gaussians, camera: &Camera, config: &RasterConfig) -> Result<Render> {
-    check(gaussians, camera, config)?;
-    let view = View::new(camera);
-    let projection = project(gaussians, &view, config)?;
-    let work = Work {
-        gaussians,
-        view: &view,
-        config,
-        projection: &projection,
-        eligible: &|_| false,
-    };
-    Ok(work.image(&work.tiles::<false, false>()))
+    match render_views(gaussians, std::slice::from_ref(camera), config)?.pop() {
+        Some(render) => Ok(render),
+        None => Err(SplatError::Setting {
+            what: "one view was asked for, none was rendered",
+            value: String::new(),
+        }),
+    }
 }
 
-/// Renders several views of one scene, in the order of the cameras. Views share the threads.
+/// Renders several views of one scene, in the order of the cameras. Views share the threads and, a few at a time, the
+/// work on each Gaussian that does not depend on the camera. The images are those of [`render`], bit for bit.
 ///
 /// # Errors
 /// As [`render`]; the first view with an error.
 pub fn render_views(gaussians: &Gaussians, cameras: &[Camera], config: &RasterConfig) -> Result<Vec<Render>> {
-    cameras
-        .par_iter()
-        .map(|camera| render(gaussians, camera, config))
-        .collect()
+    let views = check_views(gaussians, cameras, config)?;
+    for_each_view(gaussians, &views, config, |_, view, projection| {
+        let work = Work {
+            gaussians,
+            view,
+            config,
+            projection: &projection,
+            eligible: &|_| false,
+        };
+        Ok(work.image(&work.tiles::<false, false>()))
+    })
 }
 
-/// Checks all inputs of a render.
-pub(crate) fn check(gaussians: &Gaussians, camera: &Camera, config: &RasterConfig) -> Result<()> {
+/// Checks all inputs of a render and prepares the cameras.
+pub(crate) fn check_views(gaussians: &Gaussians, cameras: &[Camera], config: &RasterConfig) -> Result<Vec<View>> {
     gaussians.validate()?;
-    camera.validate()?;
-    config.validate()
+    config.validate()?;
+    cameras
+        .iter()
+        .map(|camera| camera.validate().map(|()| View::new(camera)))
+        .collect()
 }
 
 /// One view being rendered.

@@ -11,13 +11,11 @@ mod views;
 
 pub use views::{PoseGradient, backward_views, render_views_with_tape};
 
-use rayon::prelude::*;
-
 use crate::camera::{ALPHA_FLOOR, Camera, RasterConfig, View};
 use crate::error::{Result, SplatError};
 use crate::gaussians::Gaussians;
-use crate::project::{CHUNK, Projection, project};
-use crate::render::{Render, TileOutput, Work, check};
+use crate::project::{CHUNK, Projection};
+use crate::render::{Render, TileOutput};
 use crate::simd::{LANES, dispatch};
 use crate::tile::{EXTRA, Extra};
 
@@ -110,29 +108,14 @@ impl Tape {
 /// # Errors
 /// As [`crate::render()`].
 pub fn render_with_tape(gaussians: &Gaussians, camera: &Camera, config: &RasterConfig) -> Result<(Render, Tape)> {
-    check(gaussians, camera, config)?;
-    let view = View::new(camera);
-    let projection = project(gaussians, &view, config)?;
-    let work = Work {
-        gaussians,
-        view: &view,
-        config,
-        projection: &projection,
-        eligible: &|_| false,
-    };
-    let tiles = work.tiles::<true, false>();
-    let render = work.image(&tiles);
-    let extra_channels = gaussians.extra_channels;
-    Ok((
-        render,
-        Tape {
-            view,
-            projection,
-            tiles,
-            gaussians: gaussians.len(),
-            extra_channels,
-        },
-    ))
+    let (mut renders, mut tapes) = render_views_with_tape(gaussians, std::slice::from_ref(camera), config)?;
+    match (renders.pop(), tapes.pop()) {
+        (Some(render), Some(tape)) => Ok((render, tape)),
+        _ => Err(SplatError::Setting {
+            what: "one view was asked for, none was rendered",
+            value: String::new(),
+        }),
+    }
 }
 
 /// Gradients of one view. `gaussians` and `config` must be those of the forward pass.
@@ -145,13 +128,11 @@ pub fn backward(
     tape: &Tape,
     gradient: &RenderGradient<'_>,
 ) -> Result<Gradients> {
-    let mut gradients = Gradients::zeros(gaussians);
-    run(gaussians, config, tape, gradient, true, &mut gradients)?;
-    Ok(gradients)
+    Ok(backward_views(gaussians, config, std::slice::from_ref(tape), &[*gradient])?.0)
 }
 
 /// As [`backward`], added to gradients that are there already (of other views). The camera gradients add up too: keep
-/// one [`Gradients`] per camera where they are wanted.
+/// one [`Gradients`] per camera where they are wanted, or use [`backward_views`].
 ///
 /// # Errors
 /// As [`backward`].
@@ -162,66 +143,7 @@ pub fn backward_into(
     gradient: &RenderGradient<'_>,
     into: &mut Gradients,
 ) -> Result<()> {
-    run(gaussians, config, tape, gradient, false, into)
-}
-
-/// `fresh`: `into` holds zeros. Reading them would cost a page fault more than writing does.
-fn run(
-    gaussians: &Gaussians,
-    config: &RasterConfig,
-    tape: &Tape,
-    gradient: &RenderGradient<'_>,
-    fresh: bool,
-    into: &mut Gradients,
-) -> Result<()> {
-    gaussians.validate()?;
-    config.validate()?;
-    gradient.validate(tape)?;
-    SplatError::check(
-        "the scene of the backward pass",
-        gaussians.len(),
-        tape.gaussians,
-        "as in the forward pass",
-    )?;
-    let extra = gaussians.extra_channels;
-    SplatError::check(
-        "the extra channels of the backward pass",
-        extra,
-        tape.extra_channels,
-        "as in the forward pass",
-    )?;
-    SplatError::check(
-        "gradients of the means",
-        into.means.len(),
-        gaussians.means.len(),
-        "those of this scene",
-    )?;
-    SplatError::check(
-        "gradients of the colours",
-        into.colour.len(),
-        gaussians.colour.values().len(),
-        "as above",
-    )?;
-    SplatError::check(
-        "gradients of the extra channels",
-        into.extra.len(),
-        gaussians.extra.len(),
-        "as above",
-    )?;
-
-    let pass = Pass {
-        gaussians,
-        config,
-        tape,
-        gradient,
-    };
-    let tiles: Vec<TileGradient> = tape.tiles.par_iter().map(|tile| pass.tile(tile)).collect();
-    for tile in &tiles {
-        for k in 0..3 {
-            into.background[k] += tile.background[k];
-        }
-    }
-    pass.gather(&tiles, fresh, into);
+    views::add(gaussians, config, std::slice::from_ref(tape), &[*gradient], false, into)?;
     Ok(())
 }
 
@@ -357,83 +279,25 @@ impl Pass<'_> {
         (pixels, background)
     }
 
-    /// Adds the slots of every Gaussian in tile order and carries the sums through the projection.
-    fn gather(&self, tiles: &[TileGradient], fresh: bool, into: &mut Gradients) {
-        let Self {
-            gaussians,
-            config,
-            tape,
-            ..
-        } = self;
-        let channels = tape.extra_channels;
-        let colours = gaussians.colour.values_per_gaussian();
-        let stride = MOMENTS + channels;
-        let cameras: Vec<chain::CameraGradient> = (into.means.par_chunks_mut(3 * CHUNK))
-            .zip(into.quats.par_chunks_mut(4 * CHUNK))
-            .zip(into.scales.par_chunks_mut(3 * CHUNK))
-            .zip(into.opacities.par_chunks_mut(CHUNK))
-            .zip(into.colour.par_chunks_mut(colours * CHUNK))
-            .zip(chunks_or_empty(&mut into.extra, channels, tape.projection.chunks.len()))
-            .enumerate()
-            .map(|(chunk, (((((means, quats), scales), opacities), colour), extra))| {
-                let first = chunk * CHUNK;
-                let visible = tape.projection.chunks[chunk].visible;
-                let mut sums = vec![0.0_f32; visible * stride];
-                for (tile, gradient) in tape.tiles.iter().zip(tiles) {
-                    for slot in tile.list.segment(chunk) {
-                        let row = gradient.slots.index[slot] as usize;
-                        if row == 0 {
-                            continue;
-                        }
-                        let local = tile.list.records[slot] as usize - first;
-                        let to = &mut sums[local * stride..(local + 1) * stride];
-                        let from = &gradient.slots.rows[(row - 1) * stride..row * stride];
-                        for (to, from) in to.iter_mut().zip(from) {
-                            *to += from;
-                        }
-                    }
+    /// The tiles' slots of a chunk's records, added in tile order: `[records, MOMENTS + E]`.
+    fn sums(&self, tiles: &[TileGradient], chunk: usize) -> Vec<f32> {
+        let stride = MOMENTS + self.tape.extra_channels;
+        let mut sums = vec![0.0_f32; self.tape.projection.chunks[chunk].visible * stride];
+        for (tile, gradient) in self.tape.tiles.iter().zip(tiles) {
+            for slot in tile.list.segment(chunk) {
+                let row = gradient.slots.index[slot] as usize;
+                if row == 0 {
+                    continue;
                 }
-                let rows = chain::Rows {
-                    means,
-                    quats,
-                    scales,
-                    opacities,
-                    colours: colour,
-                    extra,
-                };
-                let records = &tape.projection.records[first..first + visible];
-                let view = &tape.view;
-                let kernel = chain::Chain {
-                    gaussians,
-                    view,
-                    config,
-                    records,
-                    sums: &sums,
-                    first,
-                    fresh,
-                    rows,
-                };
-                dispatch(config.simd, kernel)
-            })
-            .collect();
-        for camera in &cameras {
-            for k in 0..9 {
-                into.camera_rotation[k] += camera.rotation[k];
+                let local = tile.list.records[slot] as usize - chunk * CHUNK;
+                let to = &mut sums[local * stride..(local + 1) * stride];
+                let from = &gradient.slots.rows[(row - 1) * stride..row * stride];
+                for (to, from) in to.iter_mut().zip(from) {
+                    *to += from;
+                }
             }
-            for k in 0..3 {
-                into.camera_translation[k] += camera.translation[k];
-            }
-            into.not_finite += camera.not_finite;
         }
-    }
-}
-
-/// Chunks of the extra channels; as many empty ones as there are chunks where there are no channels.
-fn chunks_or_empty(values: &mut [f32], channels: usize, chunks: usize) -> Vec<&mut [f32]> {
-    if channels == 0 {
-        (0..chunks).map(|_| Default::default()).collect()
-    } else {
-        values.chunks_mut(channels * CHUNK).collect()
+        sums
     }
 }
 

@@ -1,10 +1,18 @@
 //! Many views of one scene: rendered with tapes, and differentiated into one set of gradients.
+//!
+//! Forward, the views of a group share the part of the projection that no camera enters. Backward, a chunk of Gaussians
+//! takes the sums of all views of a group in turn, so that its inputs and gradients are fetched once. Every Gaussian adds
+//! up its views in their order.
 
-use crate::backward::{Gradients, RenderGradient, Tape, render_with_tape, run};
+use rayon::prelude::*;
+
+use crate::backward::{Gradients, Pass, RenderGradient, Tape, TileGradient, chain};
 use crate::camera::{Camera, RasterConfig};
 use crate::error::{Result, SplatError};
 use crate::gaussians::Gaussians;
-use crate::render::Render;
+use crate::project::{CHUNK, GROUP, for_each_view};
+use crate::render::{Render, Work, check_views};
+use crate::simd::dispatch;
 
 /// Gradient of a loss with respect to the pose of one camera (`p_camera = R p_world + t`).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -15,7 +23,8 @@ pub struct PoseGradient {
     pub translation: [f64; 3],
 }
 
-/// Renders several views of one scene and keeps what [`backward_views`] needs of each, in the order of the cameras.
+/// Renders several views of one scene and keeps what [`backward_views`] needs of each, in the order of the cameras. The
+/// images are those of [`crate::render()`], bit for bit.
 ///
 /// # Errors
 /// As [`crate::render()`]; the first view with an error.
@@ -24,42 +33,179 @@ pub fn render_views_with_tape(
     cameras: &[Camera],
     config: &RasterConfig,
 ) -> Result<(Vec<Render>, Vec<Tape>)> {
-    cameras
-        .iter()
-        .map(|camera| render_with_tape(gaussians, camera, config))
-        .collect::<Result<Vec<_>>>()
-        .map(|views| views.into_iter().unzip())
+    let views = check_views(gaussians, cameras, config)?;
+    let rendered = for_each_view(gaussians, &views, config, |_, view, projection| {
+        let work = Work {
+            gaussians,
+            view,
+            config,
+            projection: &projection,
+            eligible: &|_| false,
+        };
+        let tiles = work.tiles::<true, false>();
+        let render = work.image(&tiles);
+        let tape = Tape {
+            view: *view,
+            projection,
+            tiles,
+            gaussians: gaussians.len(),
+            extra_channels: gaussians.extra_channels,
+        };
+        Ok((render, tape))
+    })?;
+    Ok(rendered.into_iter().unzip())
 }
 
 /// Gradients of a loss on several views: summed over the views in their order, the poses' each for itself (their sum is in
 /// the camera fields of [`Gradients`]). `gaussians` and `config` must be those of the forward pass.
 ///
 /// # Errors
-/// When there is not one gradient image per view, and as [`crate::backward()`].
+/// When there is not one gradient image per view, or when these or the scene do not fit the forward pass.
 pub fn backward_views(
     gaussians: &Gaussians,
     config: &RasterConfig,
     tapes: &[Tape],
     gradients: &[RenderGradient<'_>],
 ) -> Result<(Gradients, Vec<PoseGradient>)> {
-    SplatError::check("gradient images", gradients.len(), tapes.len(), "one per view")?;
     let mut sum = Gradients::zeros(gaussians);
+    let poses = add(gaussians, config, tapes, gradients, true, &mut sum)?;
+    Ok((sum, poses))
+}
+
+/// `fresh`: `into` holds zeros. Reading them would cost a page fault more than writing does.
+pub(super) fn add(
+    gaussians: &Gaussians,
+    config: &RasterConfig,
+    tapes: &[Tape],
+    gradients: &[RenderGradient<'_>],
+    fresh: bool,
+    into: &mut Gradients,
+) -> Result<Vec<PoseGradient>> {
+    gaussians.validate()?;
+    config.validate()?;
+    SplatError::check("gradient images", gradients.len(), tapes.len(), "one per view")?;
+    for (tape, gradient) in tapes.iter().zip(gradients) {
+        gradient.validate(tape)?;
+        let same = "as in the forward pass";
+        SplatError::check("the scene of the backward pass", gaussians.len(), tape.gaussians, same)?;
+        let (extra, expected) = (gaussians.extra_channels, tape.extra_channels);
+        SplatError::check("the extra channels of the backward pass", extra, expected, same)?;
+    }
+    check_room(gaussians, into)?;
     let mut poses = Vec::with_capacity(tapes.len());
-    let (mut rotation, mut translation) = ([0.0; 9], [0.0; 3]);
-    for (index, (tape, gradient)) in tapes.iter().zip(gradients).enumerate() {
-        (sum.camera_rotation, sum.camera_translation) = ([0.0; 9], [0.0; 3]);
-        run(gaussians, config, tape, gradient, index == 0, &mut sum)?;
-        poses.push(PoseGradient {
-            rotation: sum.camera_rotation,
-            translation: sum.camera_translation,
-        });
-        for (sum, part) in rotation.iter_mut().zip(sum.camera_rotation) {
-            *sum += part;
+    for (group, (tapes, gradients)) in tapes.chunks(GROUP).zip(gradients.chunks(GROUP)).enumerate() {
+        let passes: Vec<Pass<'_>> = (tapes.iter().zip(gradients))
+            .map(|(tape, gradient)| Pass {
+                gaussians,
+                config,
+                tape,
+                gradient,
+            })
+            .collect();
+        let tiles: Vec<Vec<TileGradient>> = passes
+            .par_iter()
+            .map(|pass| pass.tape.tiles.par_iter().map(|tile| pass.tile(tile)).collect())
+            .collect();
+        for tile in tiles.iter().flatten() {
+            for k in 0..3 {
+                into.background[k] += tile.background[k];
+            }
         }
-        for (sum, part) in translation.iter_mut().zip(sum.camera_translation) {
-            *sum += part;
+        poses.extend(gather(&passes, &tiles, fresh && group == 0, into));
+    }
+    for pose in &poses {
+        for k in 0..9 {
+            into.camera_rotation[k] += pose.rotation[k];
+        }
+        for k in 0..3 {
+            into.camera_translation[k] += pose.translation[k];
         }
     }
-    (sum.camera_rotation, sum.camera_translation) = (rotation, translation);
-    Ok((sum, poses))
+    Ok(poses)
+}
+
+/// Checks that gradients have the sizes of the scene.
+fn check_room(gaussians: &Gaussians, into: &Gradients) -> Result<()> {
+    let check = |what, found: usize, expected: usize| SplatError::check(what, found, expected, "those of this scene");
+    check("gradients of the means", into.means.len(), gaussians.means.len())?;
+    check("gradients of the rotations", into.quats.len(), gaussians.quats.len())?;
+    check("gradients of the scales", into.scales.len(), gaussians.scales.len())?;
+    check("gradients of the opacities", into.opacities.len(), gaussians.len())?;
+    let colours = gaussians.colour.values().len();
+    check("gradients of the colours", into.colour.len(), colours)?;
+    check(
+        "gradients of the extra channels",
+        into.extra.len(),
+        gaussians.extra.len(),
+    )
+}
+
+/// Carries the tiles' sums of all views through the projection, chunk by chunk.
+fn gather(passes: &[Pass<'_>], tiles: &[Vec<TileGradient>], fresh: bool, into: &mut Gradients) -> Vec<PoseGradient> {
+    let mut poses = vec![PoseGradient::default(); passes.len()];
+    let Some(first_pass) = passes.first() else {
+        return poses;
+    };
+    let Pass { gaussians, config, .. } = *first_pass;
+    let channels = gaussians.extra_channels;
+    let colours = gaussians.colour.values_per_gaussian();
+    let cameras: Vec<Vec<chain::CameraGradient>> = (into.means.par_chunks_mut(3 * CHUNK))
+        .zip(into.quats.par_chunks_mut(4 * CHUNK))
+        .zip(into.scales.par_chunks_mut(3 * CHUNK))
+        .zip(into.opacities.par_chunks_mut(CHUNK))
+        .zip(into.colour.par_chunks_mut(colours * CHUNK))
+        .zip(chunks_or_empty(
+            &mut into.extra,
+            channels,
+            gaussians.len().div_ceil(CHUNK),
+        ))
+        .enumerate()
+        .map(|(chunk, (((((means, quats), scales), opacities), colour), extra))| {
+            let first = chunk * CHUNK;
+            let view = |(index, (pass, tiles)): (usize, (&Pass<'_>, &Vec<TileGradient>))| {
+                let sums = pass.sums(tiles, chunk);
+                let projection = &pass.tape.projection;
+                let kernel = chain::Chain {
+                    gaussians,
+                    view: &pass.tape.view,
+                    config,
+                    records: &projection.records[first..first + projection.chunks[chunk].visible],
+                    sums: &sums,
+                    first,
+                    fresh: fresh && index == 0,
+                    rows: chain::Rows {
+                        means: &mut *means,
+                        quats: &mut *quats,
+                        scales: &mut *scales,
+                        opacities: &mut *opacities,
+                        colours: &mut *colour,
+                        extra: &mut *extra,
+                    },
+                };
+                dispatch(config.simd, kernel)
+            };
+            passes.iter().zip(tiles).enumerate().map(view).collect()
+        })
+        .collect();
+    for chunk in &cameras {
+        for (pose, camera) in poses.iter_mut().zip(chunk) {
+            for k in 0..9 {
+                pose.rotation[k] += camera.rotation[k];
+            }
+            for k in 0..3 {
+                pose.translation[k] += camera.translation[k];
+            }
+            into.not_finite += camera.not_finite;
+        }
+    }
+    poses
+}
+
+/// Chunks of the extra channels; as many empty ones as there are chunks where there are no channels.
+fn chunks_or_empty(values: &mut [f32], channels: usize, chunks: usize) -> Vec<&mut [f32]> {
+    if channels == 0 {
+        (0..chunks).map(|_| Default::default()).collect()
+    } else {
+        values.chunks_mut(channels * CHUNK).collect()
+    }
 }
