@@ -1,6 +1,7 @@
 //! Seconds of the parts of an update: `cargo run -p rogs-train --example speed`.
 use burn::tensor::Device;
-use rogs_train::{Stage1Training, Stream, Trainer};
+use rogs_train::stream::batches;
+use rogs_train::{Course, Stage1Training, Trainer};
 use std::time::Instant;
 fn main() {
     let mut settings = Stage1Training::default();
@@ -10,11 +11,11 @@ fn main() {
     settings.data.source_times = [arguments[3]; 2];
     settings.data.queries = arguments[4];
     settings.optimiser.rate = 4e-4;
-    let mut stream = Stream::start(&settings, 0);
+    let mut stream = batches(&settings, 0);
     let mut trainer = Trainer::new(settings, &Device::flex()).unwrap();
     for _ in 0..6 {
         let start = Instant::now();
-        let batch = stream.next_batch().unwrap().unwrap();
+        let batch = stream.next_item().unwrap().unwrap();
         let waited = start.elapsed();
         let start = Instant::now();
         let report = trainer.update(&batch).unwrap();

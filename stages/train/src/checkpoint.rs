@@ -15,12 +15,12 @@ use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use rogs_networks::checkpoint::{ElementType, TensorFile, TensorSource, stage1_metadata, write};
-use rogs_networks::parameters::ParameterSource;
+use rogs_networks::checkpoint::{ElementType, TensorFile, TensorSource, write};
+use rogs_networks::parameters::{ParameterSource, Parameters};
+use serde::Serialize;
 
-use crate::config::Stage1Training;
 use crate::error::{Error, Result};
-use crate::trainer::Trainer;
+use crate::optimiser::Moments;
 
 /// Metadata key of a state: updates done.
 const STEP: &str = "rogs.train.step";
@@ -31,6 +31,18 @@ const SETTINGS: &str = "rogs.train.settings";
 #[derive(Debug, Clone)]
 pub struct RunFolder {
     root: PathBuf,
+    /// Fingerprint of the settings.
+    settings: String,
+}
+
+/// What the next update of a run depends on, besides its settings.
+pub struct State<'a> {
+    /// Parameters of the network.
+    pub parameters: &'a mut Parameters,
+    /// Moments of the optimiser.
+    pub moments: &'a mut Moments,
+    /// Updates done.
+    pub step: &'a mut u64,
 }
 
 impl RunFolder {
@@ -38,8 +50,11 @@ impl RunFolder {
     ///
     /// # Errors
     /// When it cannot be written or belongs to other settings.
-    pub fn open(root: &Path, settings: &Stage1Training) -> Result<Self> {
-        let folder = Self { root: root.to_owned() };
+    pub fn open(root: &Path, settings: &impl Serialize) -> Result<Self> {
+        let folder = Self {
+            root: root.to_owned(),
+            settings: fingerprint(settings),
+        };
         let samples = folder.path("samples");
         fs::create_dir_all(&samples).map_err(Error::io(&samples))?;
         let path = folder.path("settings.toml");
@@ -69,11 +84,11 @@ impl RunFolder {
         self.root.join(name)
     }
 
-    /// Brings a trainer to where the folder's state is; leaves it alone when there is none.
+    /// Brings a run to where the folder's state is; leaves it alone when there is none.
     ///
     /// # Errors
     /// When the state cannot be read or is not one of this run.
-    pub fn resume(&self, trainer: &mut Trainer) -> Result<()> {
+    pub fn resume(&self, run: State<'_>) -> Result<()> {
         let path = self.path("state.safetensors");
         if !path.exists() {
             return self.keep_metrics_before(0);
@@ -86,7 +101,7 @@ impl RunFolder {
         let metadata = file.metadata();
         let step = metadata.get(STEP).and_then(|step| step.parse().ok());
         let step: u64 = step.ok_or_else(|| bad("the state does not say after which update it was written"))?;
-        if metadata.get(SETTINGS) != Some(&fingerprint(&trainer.settings)) {
+        if metadata.get(SETTINGS) != Some(&self.settings) {
             return Err(bad("the state belongs to other settings"));
         }
         let names: Vec<String> = file.names().into_iter().map(str::to_owned).collect();
@@ -94,21 +109,21 @@ impl RunFolder {
             let (kind, parameter) = name.split_once('/').ok_or_else(|| bad("a tensor has no kind"))?;
             let shape = file.shape(&name).map(<[usize]>::to_vec).unwrap_or_default();
             let values = file.values(&name)?;
-            if trainer.network.parameters.shape(parameter) != Some(&shape) {
+            if run.parameters.shape(parameter) != Some(&shape) {
                 return Err(bad("a tensor is not one of this network"));
             }
             let moment = match kind {
                 "value" => {
-                    trainer.network.parameters.insert(parameter, &shape, values)?;
+                    run.parameters.insert(parameter, &shape, values)?;
                     continue;
                 }
                 "first" => 0,
                 "second" => 1,
                 _ => return Err(bad("a tensor is of an unknown kind")),
             };
-            trainer.moments.by_name.entry(parameter.to_owned()).or_default()[moment] = values;
+            run.moments.by_name.entry(parameter.to_owned()).or_default()[moment] = values;
         }
-        trainer.step = step;
+        *run.step = step;
         self.keep_metrics_before(step)
     }
 
@@ -116,9 +131,8 @@ impl RunFolder {
     ///
     /// # Errors
     /// When writing fails.
-    pub fn save(&self, trainer: &Trainer) -> Result<()> {
+    pub fn save(&self, parameters: &Parameters, moments: &Moments, step: u64) -> Result<()> {
         let mut tensors = Vec::new();
-        let parameters = &trainer.network.parameters;
         for name in parameters.names() {
             let shape = parameters.shape(&name).map(<[usize]>::to_vec).unwrap_or_default();
             let mut add = |kind: &str, values: Vec<f32>| {
@@ -129,14 +143,14 @@ impl RunFolder {
                 });
             };
             add("value", parameters.host(&name)?);
-            if let Some([first, second]) = trainer.moments.by_name.get(&name) {
+            if let Some([first, second]) = moments.by_name.get(&name) {
                 add("first", first.clone());
                 add("second", second.clone());
             }
         }
         let metadata = BTreeMap::from([
-            (STEP.to_owned(), trainer.step.to_string()),
-            (SETTINGS.to_owned(), fingerprint(&trainer.settings)),
+            (STEP.to_owned(), step.to_string()),
+            (SETTINGS.to_owned(), self.settings.clone()),
         ]);
         write(&self.path("state.safetensors"), &metadata, ElementType::F32, tensors)?;
         Ok(())
@@ -194,12 +208,16 @@ impl RunFolder {
     }
 }
 
-/// Writes the network as `rogs` reads it.
+/// Writes parameters as a weights file.
 ///
 /// # Errors
 /// When writing fails.
-pub fn export(trainer: &Trainer, path: &Path, element: ElementType, provenance: &str) -> Result<()> {
-    let parameters = &trainer.network.parameters;
+pub fn export(
+    parameters: &Parameters,
+    metadata: &BTreeMap<String, String>,
+    path: &Path,
+    element: ElementType,
+) -> Result<()> {
     let tensors = parameters.names().into_iter().map(|name| TensorSource {
         shape: parameters.shape(&name).map(<[usize]>::to_vec).unwrap_or_default(),
         values: {
@@ -208,8 +226,7 @@ pub fn export(trainer: &Trainer, path: &Path, element: ElementType, provenance: 
         },
         name,
     });
-    let metadata = stage1_metadata(&trainer.network.config, trainer.step > 0, provenance);
-    write(path, &metadata, element, tensors.collect())?;
+    write(path, metadata, element, tensors.collect())?;
     Ok(())
 }
 
@@ -223,7 +240,7 @@ pub(crate) fn replace(path: &Path, bytes: &[u8]) -> Result<()> {
 }
 
 /// Fingerprint of settings.
-fn fingerprint(settings: &Stage1Training) -> String {
+fn fingerprint(settings: &impl Serialize) -> String {
     let text = serde_json::to_string(settings).unwrap_or_default();
     blake3::hash(text.as_bytes()).to_hex().to_string()
 }

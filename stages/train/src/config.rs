@@ -64,8 +64,10 @@ pub struct DataSettings {
 pub struct OptimiserSettings {
     /// Peak rate of encoder, aggregator, depth and motion head (or of their low-rank updates).
     pub rate: f64,
-    /// Peak rate of the attribute heads and the FK branch.
+    /// Peak rate of the attribute heads.
     pub head_rate: f64,
+    /// Peak rate of the FK branch.
+    pub fk_rate: f64,
     /// Rank of low-rank updates of the attention layers; 0 trains all weights.
     pub lora_rank: usize,
     /// Whether encoder and aggregator weights are trained when there are no low-rank updates.
@@ -146,6 +148,7 @@ impl Default for OptimiserSettings {
         Self {
             rate: 4e-5,
             head_rate: 4e-4,
+            fk_rate: 4e-4,
             lora_rank: 0,
             train_backbone: true,
             warmup: 150,
@@ -274,7 +277,12 @@ impl Stage1Training {
             return wrong("data.conditioning_dropout", value, "a probability");
         }
         let optimiser = &self.optimiser;
-        let rates = [optimiser.rate, optimiser.head_rate, optimiser.weight_decay];
+        let rates = [
+            optimiser.rate,
+            optimiser.head_rate,
+            optimiser.fk_rate,
+            optimiser.weight_decay,
+        ];
         if rates.iter().any(|rate| !(0.0..=1.0).contains(rate)) || !(optimiser.clip > 0.0) {
             return wrong(
                 "optimiser",

@@ -1,16 +1,18 @@
 //! Scores of the network on held-out clips, and a picture of what it makes of the first of them.
 
+use std::collections::BTreeMap;
+
 use burn::tensor::Device;
 use rogs_networks::parameters::{Parameters, to_host};
 use rogs_networks::stage1::Stage1;
-use rogs_networks::stage1::decode::activate_attributes;
 use rogs_schemas::units::m_from_iu;
 use rogs_splat::{Colour, Gaussians, RasterConfig, Render, render_views};
 use serde::{Deserialize, Serialize};
 
 use crate::config::Stage1Training;
 use crate::error::Result;
-use crate::forward::{Lifted, lift};
+use crate::forward::{Lifted, attributes, lift};
+use crate::run::{Evaluation, Picture};
 use crate::sample::{ClipPlan, Query, Sample, Target};
 
 /// Pixels with less accumulated opacity have no depth.
@@ -39,16 +41,6 @@ pub struct Scores {
     pub object_epe_mm: f64,
 }
 
-/// A picture, RGB rows.
-pub struct Picture {
-    /// Width, pixels.
-    pub width: u32,
-    /// Height, pixels.
-    pub height: u32,
-    /// `[H, W, 3]`
-    pub rgb: Vec<u8>,
-}
-
 /// The same network without gradients: faster, and by the kernels that lifting uses.
 ///
 /// # Errors
@@ -70,7 +62,7 @@ pub fn without_gradients(network: &Stage1) -> Result<Stage1> {
 ///
 /// # Errors
 /// When a clip cannot be made or rendered.
-pub fn evaluate(network: &Stage1, settings: &Stage1Training) -> Result<(Scores, Option<Picture>)> {
+pub fn evaluate(network: &Stage1, settings: &Stage1Training) -> Result<Evaluation> {
     let network = without_gradients(network)?;
     let (mut sum, mut picture) = (Scores::default(), None);
     for index in 0..settings.evaluation_clips {
@@ -82,7 +74,12 @@ pub fn evaluate(network: &Stage1, settings: &Stage1Training) -> Result<(Scores, 
             picture = Some(grid(&sample, &views));
         }
     }
-    Ok((sum.mean(), picture))
+    let scores = if settings.evaluation_clips > 0 {
+        sum.mean().by_name()
+    } else {
+        BTreeMap::new()
+    };
+    Ok(Evaluation { scores, picture })
 }
 
 /// Scores of one clip and the renders of its last query.
@@ -110,7 +107,7 @@ fn score(network: &Stage1, sample: &Sample) -> Result<(Scores, Vec<Render>)> {
             let moved = to_host(outputs.queries[index].displacement.clone())?;
             distances(sample, query, &moved, robot_mean, object_mean);
         }
-        let scene = scene(&lifted, index)?;
+        let scene = scene(sample, &lifted, index)?;
         let cameras: Vec<_> = query.targets.iter().map(|target| target.camera).collect();
         let renders = render_views(&scene, &cameras, &RasterConfig::default())?;
         for (render, target) in renders.iter().zip(&query.targets) {
@@ -163,14 +160,14 @@ fn distances(sample: &Sample, query: &Query, moved: &[f32], robot: &mut Mean, mu
 }
 
 /// The field at a query time.
-fn scene(lifted: &Lifted, query: usize) -> Result<Gaussians> {
+fn scene(sample: &Sample, lifted: &Lifted, query: usize) -> Result<Gaussians> {
     let query = &lifted.queries[query];
     let rows = |map: burn::tensor::Tensor<4>, first: usize, count: usize| {
         let [views, _, height, width] = map.dims();
         let map = map.narrow(1, first, count).permute([0, 2, 3, 1]);
         to_host(map.reshape([views * height * width, count]))
     };
-    let attributes = activate_attributes(query.raw.clone().narrow(1, 0, 11));
+    let attributes = attributes(query.raw.clone(), sample);
     Ok(Gaussians {
         means: rows(lifted.position.clone() + query.displacement.clone(), 0, 3)?,
         colour: Colour::Rgb(rows(attributes.clone(), 0, 3)?),
@@ -254,6 +251,15 @@ impl Mean {
 }
 
 impl Scores {
+    /// The numbers by name.
+    fn by_name(&self) -> BTreeMap<String, f64> {
+        let value = serde_json::to_value(self).unwrap_or_default();
+        let numbers = value.as_object().into_iter().flatten();
+        numbers
+            .filter_map(|(key, value)| Some((key.clone(), value.as_f64()?)))
+            .collect()
+    }
+
     fn numbers(&mut self) -> [&mut f64; 8] {
         [
             &mut self.head_abs_rel,

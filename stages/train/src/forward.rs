@@ -56,9 +56,9 @@ pub fn lift(network: &Stage1, sample: &Sample, conditioned: bool) -> Result<Lift
         .forward(&depth_head.projections(None), &encoded.taps, grid, size)
         .narrow(1, 0, 1);
     let depth = log_depth.clone().exp().clamp(DEPTH_RANGE_IU[0], DEPTH_RANGE_IU[1]);
-    let robot = from_host(sample.robot.clone(), [views, 1, height, width], device);
+    let support = from_host(sample.support.clone(), [views, 1, height, width], device);
     let mesh = from_host(sample.mesh_depth_iu.clone(), [views, 1, height, width], device);
-    let selected = depth.clone() * (robot.clone() * -1.0 + 1.0) + mesh * robot;
+    let selected = depth.clone() * (support.clone() * -1.0 + 1.0) + mesh * support;
     let (rays, origins) = rays(sample);
     let rays = from_host(rays, [views, 3, height, width], device);
     let position = rays * selected + from_host(origins, [views, 3, 1, 1], device);
@@ -121,4 +121,17 @@ fn rays(sample: &Sample) -> (Vec<f32>, Vec<f32>) {
         origins.extend(camera.translation_iu.map(|value| value as f32));
     }
     (rays, origins)
+}
+
+/// Activated attributes `[S, 11, H, W]` of raw ones `[S, 12, H, W]`, the scales of anchored Gaussians capped.
+#[must_use]
+pub fn attributes(raw: Tensor<4>, sample: &Sample) -> Tensor<4> {
+    let [views, _, height, width] = raw.dims();
+    let cap = from_host(sample.scale_cap_iu.clone(), [views, 1, height, width], &raw.device());
+    let activated = decode::activate_attributes(raw.narrow(1, 0, 11));
+    let scale = activated.clone().narrow(1, 3, 3).min_pair(cap.repeat(&[1, 3, 1, 1]));
+    Tensor::cat(
+        vec![activated.clone().narrow(1, 0, 3), scale, activated.narrow(1, 6, 5)],
+        1,
+    )
 }

@@ -1,6 +1,7 @@
 //! Training of the lifting network on procedural clips with exact references.
 //!
-//! [`Trainer`] holds a run between two updates; [`Stream`] makes the clips of each update in the background. Losses of
+//! [`Trainer`] holds a run between two updates; [`run::run`] is the loop that every kind of training shares, and [`Stream`] makes the clips of each update in the
+//! background. Losses of
 //! the network's outputs are differentiated by the framework, losses of renders by the rasteriser's backward pass
 //! ([`renders`]). Everything random follows from the seed and the number of the update, so a resumed run takes the same
 //! course as an uninterrupted one.
@@ -12,6 +13,7 @@ pub mod evaluate;
 pub mod forward;
 pub mod objective;
 pub mod optimiser;
+pub mod records;
 pub mod renders;
 mod report;
 pub mod run;
@@ -22,5 +24,6 @@ pub mod trainer;
 
 pub use config::Stage1Training;
 pub use error::{Error, Result};
+pub use run::{Course, UpdateReport};
 pub use stream::Stream;
-pub use trainer::{Trainer, UpdateReport};
+pub use trainer::Trainer;

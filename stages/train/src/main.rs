@@ -5,9 +5,10 @@ use std::process::ExitCode;
 
 use burn::tensor::Device;
 use clap::{Parser, Subcommand, ValueEnum};
-use rogs_networks::checkpoint::ElementType;
+use rogs_networks::checkpoint::{ElementType, PROVENANCE};
 use rogs_train::checkpoint::{RunFolder, export};
-use rogs_train::{Error, Result, Stage1Training, Trainer, run};
+use rogs_train::run::{Course, run};
+use rogs_train::{Error, Result, Stage1Training, Trainer};
 
 /// Trains the networks of rogs on procedural clips with exact references.
 #[derive(Parser)]
@@ -33,7 +34,7 @@ enum Command {
     /// Writes the network of a run as a weights file for `rogs`.
     Export {
         /// Folder of the run.
-        run: PathBuf,
+        folder: PathBuf,
         /// The file to write.
         #[arg(long)]
         out: PathBuf,
@@ -76,26 +77,30 @@ fn execute(command: Command) -> Result<()> {
                 Some(path) => Stage1Training::read(&path)?,
                 None => Stage1Training::default(),
             };
-            run::run(&settings, &out, stop_after, &mut |line| eprintln!("{line}"))?;
+            let mut trainer = Trainer::new(settings, &Device::flex())?;
+            run(&mut trainer, &out, stop_after, &mut |line| eprintln!("{line}"))?;
             println!("{}", out.join("model.safetensors").display());
             Ok(())
         }
         Command::Export {
-            run,
+            folder,
             out,
             numbers,
             provenance,
         } => {
-            let settings = Stage1Training::read(&run.join("settings.toml"))?;
+            let settings = Stage1Training::read(&folder.join("settings.toml"))?;
             let mut trainer = Trainer::new(settings.clone(), &Device::flex())?;
-            RunFolder::open(&run, &settings)?.resume(&mut trainer)?;
+            RunFolder::open(&folder, &settings)?.resume(trainer.state())?;
             let element = match numbers {
                 Numbers::F32 => ElementType::F32,
                 Numbers::F16 => ElementType::F16,
                 Numbers::Bf16 => ElementType::BF16,
             };
-            let provenance = provenance.unwrap_or_else(|| run::provenance(&trainer, None));
-            export(&trainer, &out, element, &provenance)?;
+            let mut metadata = trainer.metadata("");
+            if let Some(provenance) = provenance {
+                metadata.insert(PROVENANCE.to_owned(), provenance);
+            }
+            export(trainer.parameters(), &metadata, &out, element)?;
             println!("{}", out.display());
             Ok(())
         }

@@ -99,7 +99,7 @@ pub fn objective(sample: &Sample, lifted: &Lifted, weights: &LossWeights, random
             sum.add("track_head", weights.track_head, share, loss)?;
         }
         if weights.fk_head > 0.0 {
-            let robot = from_host(sample.robot.clone(), [views * area, 1], &device);
+            let robot = from_host(sample.support.clone(), [views * area, 1], &device);
             let error = (displacement - reference).abs() * robot.clone();
             let loss = error.sum() / (robot.sum() * 3.0 + EPSILON);
             sum.add("fk_head", weights.fk_head, share, loss)?;

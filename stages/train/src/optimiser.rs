@@ -5,9 +5,7 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 use rogs_networks::parameters::Parameters;
 
-use crate::config::OptimiserSettings;
 use crate::error::{Error, Result};
-use crate::start::rate_of;
 
 /// Keeps a division by a zero moment finite.
 const EPSILON: f64 = 1e-8;
@@ -45,7 +43,21 @@ pub fn norm(gradients: &Gradients) -> f64 {
     gradients.values().map(square).sum::<f64>().sqrt()
 }
 
-/// Moves the parameters by one update; returns the norm before clipping.
+/// How parameters are moved.
+pub struct Rule<'a> {
+    /// Peak learning rate of a parameter, `None` when it is not trained.
+    pub rate: &'a dyn Fn(&str) -> Option<f64>,
+    /// Share of the peak rate at this update.
+    pub share: f64,
+    /// Decay rates of the two moments.
+    pub betas: [f64; 2],
+    /// Decoupled weight decay of a parameter of this shape.
+    pub weight_decay: &'a dyn Fn(&[usize]) -> f64,
+    /// Largest norm of all gradients together.
+    pub clip: f64,
+}
+
+/// Moves the parameters by update `step` (counted from 0); returns the norm before clipping.
 ///
 /// # Errors
 /// When a gradient is not finite (nothing is changed then), or a parameter cannot be read.
@@ -53,9 +65,8 @@ pub fn update(
     parameters: &mut Parameters,
     moments: &mut Moments,
     gradients: &Gradients,
-    settings: &OptimiserSettings,
+    rule: &Rule<'_>,
     step: u64,
-    steps: u64,
 ) -> Result<f64> {
     let size = norm(gradients);
     if !size.is_finite() {
@@ -64,18 +75,14 @@ pub fn update(
             what: "the norm of the gradient".into(),
         });
     }
-    let clip = if size > settings.clip {
-        settings.clip / size
-    } else {
-        1.0
-    };
-    let share = schedule(step, steps, settings.warmup);
-    let unbias = settings.betas.map(|beta| 1.0 - beta.powi(step as i32 + 1));
-    let [beta1, beta2] = settings.betas;
+    let clip = if size > rule.clip { rule.clip / size } else { 1.0 };
+    let unbias = rule.betas.map(|beta| 1.0 - beta.powi(step as i32 + 1));
+    let [beta1, beta2] = rule.betas;
     for (name, gradient) in gradients {
-        let Some(rate) = rate_of(name, settings) else { continue };
-        let rate = rate * share;
+        let Some(rate) = (rule.rate)(name) else { continue };
+        let rate = rate * rule.share;
         let shape = parameters.shape(name).unwrap_or_default().to_vec();
+        let decay = (rule.weight_decay)(&shape);
         let mut values = parameters.host(name)?;
         let [first, second] = moments
             .by_name
@@ -90,7 +97,7 @@ pub fn update(
                 (*first, *second) = (mean as f32, square as f32);
                 let direction = mean / unbias[0] / ((square / unbias[1]).sqrt() + EPSILON);
                 let old = f64::from(*value);
-                *value = (old - rate * (direction + settings.weight_decay * old)) as f32;
+                *value = (old - rate * (direction + decay * old)) as f32;
             });
         parameters.insert(name, &shape, values)?;
     }

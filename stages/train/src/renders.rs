@@ -7,18 +7,15 @@ use std::collections::BTreeMap;
 
 use burn::tensor::Tensor;
 use rogs_networks::parameters::{from_host, to_host};
-use rogs_networks::stage1::decode::activate_attributes;
 use rogs_schemas::units::m_from_iu;
 use rogs_splat::backward::{Gradients, RenderGradient, backward_into, render_with_tape};
 use rogs_splat::{Colour, Gaussians, RasterConfig, Render};
 
 use crate::config::LossWeights;
 use crate::error::Result;
-use crate::forward::Lifted;
+use crate::forward::{Lifted, attributes};
 use crate::sample::{Query, Sample, Target};
 
-/// Attributes of a Gaussian: colour 3, scale 3, rotation 4, opacity 1.
-const ATTRIBUTES: usize = 11;
 /// Keeps a mean over nothing finite.
 const EPSILON: f64 = 1e-6;
 
@@ -77,7 +74,7 @@ pub fn terms(sample: &Sample, lifted: &Lifted, weights: &LossWeights, tracks: &[
         weights,
         config: RasterConfig::default(),
         position: Rows::new(lifted.position.clone())?,
-        base: Rows::new(activate_attributes(lifted.base_raw.clone().narrow(1, 0, ATTRIBUTES)))?,
+        base: Rows::new(attributes(lifted.base_raw.clone(), sample))?,
         terms: BTreeMap::new(),
     };
     let mut surrogate = Tensor::zeros([1], &lifted.depth.device());
@@ -85,8 +82,7 @@ pub fn terms(sample: &Sample, lifted: &Lifted, weights: &LossWeights, tracks: &[
     for (query, outputs) in sample.queries.iter().zip(&lifted.queries) {
         let mut displacement = Rows::new(outputs.displacement.clone())?;
         if weights.renders_views() {
-            let raw = outputs.raw.clone().narrow(1, 0, ATTRIBUTES);
-            let mut timed = Rows::new(activate_attributes(raw))?;
+            let mut timed = Rows::new(attributes(outputs.raw.clone(), sample))?;
             pass.views(query, &mut displacement, &mut timed, share)?;
             surrogate = surrogate + timed.surrogate();
         }
@@ -228,7 +224,7 @@ impl Pass<'_> {
     /// Displacement composited at the source times: the Gaussians of one source time, seen by its cameras.
     fn motion(&mut self, query: &Query, displacement: &mut Rows, tracks: &[i32], share: f64) -> Result<()> {
         let area = self.sample.size[0] * self.sample.size[1];
-        let robot_pixels = self.sample.robot.iter().filter(|&&robot| robot > 0.0).count() as f64;
+        let robot_pixels = self.sample.support.iter().filter(|&&robot| robot > 0.0).count() as f64;
         let track_each = share / (3.0 * tracks.len() as f64 + EPSILON);
         let robot_each = share / (3.0 * robot_pixels + EPSILON);
         let mut tracked = vec![false; displacement.values.len() / 3];
@@ -254,7 +250,7 @@ impl Pass<'_> {
                 let mut gradient = vec![0.0f32; 3 * area];
                 for pixel in 0..area {
                     let global = view * area + pixel;
-                    let robot = self.sample.robot[global] > 0.0;
+                    let robot = self.sample.support[global] > 0.0;
                     if render.alpha[pixel] <= 0.0 || !(tracked[global] || robot) {
                         continue;
                     }

@@ -7,7 +7,6 @@ use base64::engine::general_purpose::STANDARD;
 use serde_json::Value;
 
 use crate::checkpoint::{RunFolder, replace};
-use crate::config::Stage1Training;
 use crate::error::{Error, Result};
 
 const WIDTH: f64 = 460.0;
@@ -20,24 +19,22 @@ const BINS: usize = 200;
 ///
 /// # Errors
 /// When reading or writing fails.
-pub(crate) fn write(folder: &RunFolder, settings: &Stage1Training) -> Result<()> {
+pub(crate) fn write(folder: &RunFolder, title: &str, picture: &str, steps: u64) -> Result<()> {
     let lines = folder.lines("metrics.jsonl")?;
     let (evaluations, updates): (Vec<&Value>, Vec<&Value>) =
         lines.iter().partition(|line| line.get("evaluation").is_some());
-    let mut page = String::from(
-        "<!doctype html><meta charset=\"utf-8\"><title>rogs-train</title><style>body{font:14px sans-serif;margin:24px;\
-         max-width:1500px}svg{background:#fafafa;margin:4px}img{max-width:100%}td,th{padding:2px 10px;text-align:right}\
-         </style><h1>Training of Stage 1</h1>",
+    let mut page = format!(
+        "<!doctype html><meta charset=\"utf-8\"><title>{title}</title><style>body{{font:14px sans-serif;margin:24px;\
+         max-width:1500px}}svg{{background:#fafafa;margin:4px}}img{{max-width:100%}}td,th{{padding:2px 10px;\
+         text-align:right}}pre{{background:#fafafa;padding:8px}}</style><h1>{title}</h1><p>{} of {steps} updates.</p>",
+        updates.len()
     );
+    let path = folder.path("settings.toml");
+    let settings = std::fs::read_to_string(&path).map_err(Error::io(&path))?;
     let _ = write!(
         page,
-        "<p>{} of {} updates, configuration <b>{}</b>, {} x {} pixels, seed {}.</p>",
-        updates.len(),
-        settings.steps,
-        escaped(&settings.configuration),
-        settings.data.size[0],
-        settings.data.size[1],
-        settings.seed
+        "<details><summary>Settings</summary><pre>{}</pre></details>",
+        escaped(&settings)
     );
     page.push_str("<h2>Held-out clips</h2>");
     let mut table = String::new();
@@ -65,7 +62,7 @@ pub(crate) fn write(folder: &RunFolder, settings: &Stage1Training) -> Result<()>
             page.push_str(&curve(key, &series(&updates, |line| line["terms"][key].as_f64())));
         }
     }
-    page.push_str("<h2>Samples</h2><p>Seen, rendered, reference depth, rendered depth; three source cameras, then their right eyes.</p>");
+    let _ = write!(page, "<h2>Samples</h2><p>{}</p>", escaped(picture));
     let samples = folder.path("samples");
     let mut pictures: Vec<_> = std::fs::read_dir(&samples)
         .map_err(Error::io(&samples))?

@@ -1,111 +1,177 @@
-//! A whole run on a folder: updates, evaluations, checkpoints, report.
+//! A whole run on a folder: updates, evaluations, checkpoints, report. What is trained is a [`Course`].
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Instant;
 
-use burn::tensor::Device;
 use rogs_networks::checkpoint::ElementType;
+use rogs_networks::parameters::Parameters;
+use serde::Serialize;
 use serde_json::json;
 
-use crate::checkpoint::{RunFolder, export};
-use crate::config::Stage1Training;
+use crate::checkpoint::{RunFolder, State, export};
 use crate::error::{Error, Result};
-use crate::evaluate::{Picture, Scores, evaluate};
+use crate::optimiser::Moments;
 use crate::report;
 use crate::stream::Stream;
-use crate::trainer::{Trainer, UpdateReport};
 
 /// Weight of the newest update in the running mean of seconds per update.
 const PACE_WEIGHT: f64 = 0.05;
+
+/// What an update did.
+#[derive(Debug, Clone, PartialEq, Serialize, serde::Deserialize)]
+pub struct UpdateReport {
+    /// The update, counted from 0.
+    pub step: u64,
+    /// The weighted sum of all losses.
+    pub loss: f64,
+    /// Each loss before its weight, mean over the clips.
+    pub terms: BTreeMap<String, f64>,
+    /// Norm of the gradient before clipping.
+    pub gradient_norm: f64,
+    /// Source images of the update.
+    pub images: usize,
+}
+
+/// A picture, RGB rows.
+#[derive(Debug, Clone, Default)]
+pub struct Picture {
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// `[H, W, 3]`
+    pub rgb: Vec<u8>,
+}
+
+/// Scores of held-out clips.
+#[derive(Debug, Clone, Default)]
+pub struct Evaluation {
+    /// Scores by name.
+    pub scores: BTreeMap<String, f64>,
+    /// What the first clip looks like.
+    pub picture: Option<Picture>,
+}
+
+/// When a run writes and scores.
+#[derive(Debug, Clone, Copy)]
+pub struct Rhythm {
+    /// Updates of the whole schedule.
+    pub steps: u64,
+    /// A checkpoint is written every so many updates.
+    pub checkpoint_every: u64,
+    /// Held-out clips are scored every so many updates.
+    pub evaluate_every: u64,
+}
+
+/// Something that is trained update by update.
+pub trait Course {
+    /// Settings; a folder belongs to one value of them.
+    type Settings: Serialize;
+    /// What one update is made from.
+    type Batch: Send + 'static;
+
+    /// Title of the report.
+    const TITLE: &'static str;
+    /// What the sample pictures show.
+    const PICTURE: &'static str;
+
+    /// The settings.
+    fn settings(&self) -> &Self::Settings;
+    /// When to write and score.
+    fn rhythm(&self) -> Rhythm;
+    /// What changes from update to update.
+    fn state(&mut self) -> State<'_>;
+    /// The parameters as they are.
+    fn parameters(&self) -> &Parameters;
+    /// The moments as they are.
+    fn moments(&self) -> &Moments;
+    /// Updates done.
+    fn step(&self) -> u64;
+    /// Batches of all updates that are left.
+    ///
+    /// # Errors
+    /// When what makes them cannot be loaded.
+    fn stream(&self) -> Result<Stream<Self::Batch>>;
+    /// One update.
+    ///
+    /// # Errors
+    /// When a loss or gradient is not finite, or the device fails; nothing is changed then.
+    fn update(&mut self, batch: &Self::Batch) -> Result<UpdateReport>;
+    /// Scores held-out clips.
+    ///
+    /// # Errors
+    /// When a clip cannot be made or rendered.
+    fn evaluate(&self) -> Result<Evaluation>;
+    /// Metadata of the weights file; `time` says how long training took.
+    fn metadata(&self, time: &str) -> BTreeMap<String, String>;
+}
 
 /// Trains until the last update or until `stop_after` updates are done, whichever is first; goes on where the folder's
 /// last checkpoint is. `say` gets lines for a person.
 ///
 /// # Errors
 /// When the folder belongs to another run, a clip cannot be made, or training diverges.
-pub fn run(
-    settings: &Stage1Training,
-    root: &Path,
-    stop_after: Option<u64>,
-    say: &mut dyn FnMut(&str),
-) -> Result<Trainer> {
-    let folder = RunFolder::open(root, settings)?;
-    let mut trainer = Trainer::new(settings.clone(), &Device::flex())?;
-    folder.resume(&mut trainer)?;
-    let last = stop_after.unwrap_or(settings.steps).min(settings.steps);
-    if trainer.step > 0 {
-        say(&format!("resumed after {} of {} updates", trainer.step, settings.steps));
+pub fn run<C: Course>(course: &mut C, root: &Path, stop_after: Option<u64>, say: &mut dyn FnMut(&str)) -> Result<()> {
+    let folder = RunFolder::open(root, course.settings())?;
+    folder.resume(course.state())?;
+    let Rhythm {
+        steps,
+        checkpoint_every,
+        evaluate_every,
+    } = course.rhythm();
+    let last = stop_after.unwrap_or(steps).min(steps);
+    if course.step() > 0 {
+        say(&format!("resumed after {} of {steps} updates", course.step()));
     }
     let mut clock = Clock::start(&folder)?;
-    if trainer.step == 0 && folder.lines("metrics.jsonl")?.is_empty() {
-        scored(&trainer, &folder, &clock, say)?;
+    if course.step() == 0 && folder.lines("metrics.jsonl")?.is_empty() {
+        scored(course, &folder, &clock, say)?;
     }
-    let mut stream = Stream::start(settings, trainer.step);
-    while trainer.step < last {
-        let Some(batch) = stream.next_batch() else { break };
+    let mut stream = course.stream()?;
+    while course.step() < last {
+        let Some(batch) = stream.next_item() else { break };
         let started = Instant::now();
-        let report = trainer.update(&batch?)?;
+        let report = course.update(&batch?)?;
         clock.pace(started.elapsed().as_secs_f64());
         folder.append("metrics.jsonl", &json!(report))?;
-        if trainer.step.is_multiple_of(10) || trainer.step == last {
-            say(&line(&report, settings.steps, clock.seconds_per_update));
+        let (step, done) = (course.step(), course.step() == last);
+        if step.is_multiple_of(10) || done {
+            say(&line(&report, steps, clock.seconds_per_update));
         }
-        let done = trainer.step == last;
-        if done || trainer.step.is_multiple_of(settings.evaluate_every) {
-            scored(&trainer, &folder, &clock, say)?;
+        if done || step.is_multiple_of(evaluate_every) {
+            scored(course, &folder, &clock, say)?;
         }
-        if done || trainer.step.is_multiple_of(settings.checkpoint_every) {
-            folder.save(&trainer)?;
+        if done || step.is_multiple_of(checkpoint_every) {
+            folder.save(course.parameters(), course.moments(), step)?;
         }
     }
-    Ok(trainer)
+    Ok(())
 }
 
 /// Scores the network, writes picture, model and report.
-fn scored(trainer: &Trainer, folder: &RunFolder, clock: &Clock, say: &mut dyn FnMut(&str)) -> Result<()> {
-    let settings = &trainer.settings;
-    if settings.evaluation_clips > 0 {
-        let (scores, picture) = evaluate(&trainer.network, settings)?;
-        folder.append("metrics.jsonl", &json!({ "step": trainer.step, "evaluation": scores }))?;
-        if let Some(picture) = picture.filter(|picture| picture.width > 0) {
-            save_picture(&folder.path(&format!("samples/{:06}.png", trainer.step)), &picture)?;
-        }
-        say(&words(trainer.step, &scores));
+fn scored<C: Course>(course: &C, folder: &RunFolder, clock: &Clock, say: &mut dyn FnMut(&str)) -> Result<()> {
+    let step = course.step();
+    let Evaluation { scores, picture } = course.evaluate()?;
+    if !scores.is_empty() {
+        folder.append("metrics.jsonl", &json!({ "step": step, "evaluation": scores }))?;
+        let words: Vec<String> = scores.iter().map(|(key, value)| format!("{key} {value:.3}")).collect();
+        say(&format!("after {step} updates, held-out clips: {}", words.join("  ")));
+    }
+    if let Some(picture) = picture.filter(|picture| picture.width > 0) {
+        save_picture(&folder.path(&format!("samples/{step:06}.png")), &picture)?;
     }
     let seconds = clock.seconds();
-    folder.append(
-        "time.jsonl",
-        &json!({ "step": trainer.step, "evaluation": true, "seconds": seconds }),
-    )?;
-    let provenance = provenance(trainer, Some(seconds));
+    let line = json!({ "step": step, "evaluation": true, "seconds": seconds });
+    folder.append("time.jsonl", &line)?;
+    let metadata = course.metadata(&format!(", {:.0} minutes of wall time", seconds / 60.0));
     export(
-        trainer,
+        course.parameters(),
+        &metadata,
         &folder.path("model.safetensors"),
         ElementType::F32,
-        &provenance,
     )?;
-    report::write(folder, settings)
-}
-
-/// Where the weights come from, for a person.
-#[must_use]
-pub fn provenance(trainer: &Trainer, seconds: Option<f64>) -> String {
-    let settings = &trainer.settings;
-    let start = match &settings.start {
-        Some(path) => format!(
-            "started from {}",
-            path.file_name().unwrap_or_default().to_string_lossy()
-        ),
-        None => format!("from scratch, seed {}", settings.seed),
-    };
-    let [height, width] = settings.data.size;
-    let time = seconds.map_or_else(String::new, |seconds| {
-        format!(", {:.0} minutes of wall time", seconds / 60.0)
-    });
-    format!(
-        "trained by rogs-train on procedural clips only, {} updates at {height} x {width}, {start}{time}",
-        trainer.step
-    )
+    report::write(folder, C::TITLE, C::PICTURE, course.rhythm().steps)
 }
 
 fn save_picture(path: &Path, picture: &Picture) -> Result<()> {
@@ -134,22 +200,6 @@ fn line(report: &UpdateReport, steps: u64, seconds_per_update: f64) -> String {
         report.gradient_norm,
         terms.join("  "),
         left / 60.0
-    )
-}
-
-fn words(step: u64, scores: &Scores) -> String {
-    format!(
-        "after {step} updates, {} held-out clips: AbsRel head {:.3}, source {:.3}, novel {:.3}; PSNR source {:.1} dB, novel \
-         {:.1} dB; EPE robot {:.1} mm (unconditioned {:.1} mm), objects {:.1} mm",
-        scores.clips,
-        scores.head_abs_rel,
-        scores.source_abs_rel,
-        scores.novel_abs_rel,
-        scores.source_psnr,
-        scores.novel_psnr,
-        scores.robot_epe_mm,
-        scores.robot_epe_unconditioned_mm,
-        scores.object_epe_mm
     )
 }
 

@@ -12,14 +12,21 @@ use rogs_splat::Camera as RasterCamera;
 use rogs_synth::{Episode, FIRST_OBJECT_ID, FIRST_SCENERY_ID, Resolution, SynthConfig, View, generate_episode};
 
 use crate::config::DataSettings;
-use crate::error::Result;
+use crate::error::{Error, Result};
+use crate::records::Records;
 
 /// Cameras whose images the network sees; their right eyes follow them in the episode.
 pub const SOURCE_CAMERAS: usize = 3;
 /// Frames of a procedural episode.
 const EPISODE_FRAMES: u32 = 33;
 /// References outside this interval take no part in depth losses, metres (as in scoring).
-const DEPTH_RANGE_M: [f32; 2] = [0.1, 5.0];
+pub(crate) const DEPTH_RANGE_M: [f32; 2] = [0.1, 5.0];
+/// Largest footprint of an anchored Gaussian, source pixels (`lift`'s default).
+const FOOTPRINT_PX: f32 = 1.5;
+/// A cap that caps nothing, internal units.
+const NO_CAP_IU: f32 = 1e3;
+/// Links farther apart than this are different surfaces, metres (`robot-maps`' default).
+const LINK_STEP_M: f32 = 0.03;
 /// Standard deviation of the gripper-neighbourhood prior, metres (`conditioning`'s default).
 const PRIOR_SIGMA_M: f64 = 0.10;
 
@@ -43,8 +50,12 @@ pub struct Sample {
     pub depth_iu: Vec<f32>,
     /// 1 where the reference depth counts. `[S, A]`
     pub valid: Vec<f32>,
-    /// Mesh depth on the robot, internal units; 0 elsewhere. `[S, A]`
+    /// Mesh depth at valid robot support, internal units; 0 elsewhere. `[S, A]`
     pub mesh_depth_iu: Vec<f32>,
+    /// 1 at valid robot support: what is anchored and conditioned. `[S, A]`
+    pub support: Vec<f32>,
+    /// Largest scale of the Gaussians at valid support, internal units; large elsewhere. `[S, A]`
+    pub scale_cap_iu: Vec<f32>,
     /// 1 on the robot. `[S, A]`
     pub robot: Vec<f32>,
     /// 1 on the robot and on objects: what tracks can start on. `[S, A]`
@@ -135,6 +146,35 @@ impl ClipPlan {
     /// # Errors
     /// When no motion can be found for the seed.
     pub fn sample(&self, data: &DataSettings, with_targets: bool) -> Result<Sample> {
+        let episode = self.episode(data)?;
+        Ok(Maker::new(self, data, &episode).sample(with_targets))
+    }
+
+    /// The records that the pipeline would make of the clip.
+    ///
+    /// # Errors
+    /// As [`Self::sample`].
+    pub fn records(&self, data: &DataSettings) -> Result<Records> {
+        let episode = self.episode(data)?;
+        Ok(Maker::new(self, data, &episode).records())
+    }
+
+    /// Makes something of the plan; a seed for which no motion is found gives way to another one far from all others.
+    ///
+    /// # Errors
+    /// Those of `make`.
+    pub fn or_another<T>(&self, make: impl Fn(&Self) -> Result<T>) -> Result<T> {
+        const FAR: u64 = 1 << 40;
+        match make(self) {
+            Err(Error::Synth(_)) => make(&Self {
+                seed: self.seed + FAR,
+                ..self.clone()
+            }),
+            result => result,
+        }
+    }
+
+    fn episode(&self, data: &DataSettings) -> Result<Episode> {
         let config = SynthConfig {
             frames: EPISODE_FRAMES.max(data.clip_frames),
             resolution: Resolution {
@@ -144,8 +184,7 @@ impl ClipPlan {
             calibration_noise: data.calibration_noise,
             ..SynthConfig::default()
         };
-        let episode = generate_episode(&config, self.seed)?;
-        Ok(Maker::new(self, data, &episode).sample(with_targets))
+        Ok(generate_episode(&config, self.seed)?)
     }
 }
 
@@ -172,12 +211,13 @@ fn choose(frames: u32, count: u32, random: &mut Pcg64) -> Vec<u32> {
     all
 }
 
-struct Maker<'a> {
-    plan: &'a ClipPlan,
-    data: &'a DataSettings,
-    episode: &'a Episode,
+/// Makes what training needs of a clip.
+pub(crate) struct Maker<'a> {
+    pub(crate) plan: &'a ClipPlan,
+    pub(crate) data: &'a DataSettings,
+    pub(crate) episode: &'a Episode,
     /// Reconstruction frame from base, metres.
-    recon_from_base: DAffine3,
+    pub(crate) recon_from_base: DAffine3,
 }
 
 impl<'a> Maker<'a> {
@@ -193,12 +233,12 @@ impl<'a> Maker<'a> {
     }
 
     /// Episode frame of a clip frame.
-    fn frame(&self, clip_frame: u32) -> usize {
+    pub(crate) fn frame(&self, clip_frame: u32) -> usize {
         (self.plan.first + clip_frame) as usize
     }
 
     /// Camera-to-base pose as it is recorded.
-    fn recorded(&self, camera: usize, frame: usize) -> DAffine3 {
+    pub(crate) fn recorded(&self, camera: usize, frame: usize) -> DAffine3 {
         let lens = &self.episode.cameras[camera];
         let recorded = rogs_synth::Camera {
             mount: lens.recorded_mount,
@@ -226,10 +266,13 @@ impl<'a> Maker<'a> {
             depth_iu: Vec::with_capacity(order.len() * area),
             valid: Vec::with_capacity(order.len() * area),
             mesh_depth_iu: Vec::with_capacity(order.len() * area),
+            support: Vec::with_capacity(order.len() * area),
+            scale_cap_iu: Vec::with_capacity(order.len() * area),
             robot: Vec::with_capacity(order.len() * area),
             trackable: Vec::with_capacity(order.len() * area),
             queries: Vec::new(),
         };
+        let mark = |on: bool| f32::from(u8::from(on));
         for &(camera, time) in &order {
             let (view, clip_frame) = (&sources[time][camera], self.plan.sources[time]);
             let frame = self.frame(clip_frame);
@@ -240,9 +283,15 @@ impl<'a> Maker<'a> {
             let (depth, valid) = reference_depth(view);
             sample.depth_iu.extend(depth);
             sample.valid.extend(valid);
-            let mark = |on: bool| f32::from(u8::from(on));
-            let mesh = |(&depth, &id): (&f32, &u8)| if id < FIRST_OBJECT_ID { iu_from_m(depth) } else { 0.0 };
-            sample.mesh_depth_iu.extend(view.depth_m.iter().zip(&view.id).map(mesh));
+            let k = &self.episode.cameras[camera].intrinsics;
+            let footprint = FOOTPRINT_PX / k.fx.min(k.fy) as f32;
+            for (&depth_m, supported) in view.depth_m.iter().zip(support(view, width)) {
+                let depth = if supported { iu_from_m(depth_m) } else { 0.0 };
+                sample.mesh_depth_iu.push(depth);
+                sample.support.push(mark(supported));
+                let cap = if supported { footprint * depth } else { NO_CAP_IU };
+                sample.scale_cap_iu.push(cap);
+            }
             sample
                 .robot
                 .extend(view.id.iter().map(|&id| mark(id < FIRST_OBJECT_ID)));
@@ -305,6 +354,7 @@ impl<'a> Maker<'a> {
             })
             .collect();
         let prior = self.prior(camera, from);
+        let support = support(view, width);
         let mut kappa = vec![0.0f32; KAPPA_CHANNELS * area];
         let mut displacement = vec![0.0f32; 3 * area];
         for pixel in 0..area {
@@ -312,8 +362,8 @@ impl<'a> Maker<'a> {
             kappa[5 * area + pixel] = 1.0;
             kappa[6 * area + pixel] = prior.at(column as u32, row as u32);
             let (id, depth_m) = (view.id[pixel], view.depth_m[pixel]);
-            let robot = id < FIRST_OBJECT_ID;
-            if robot {
+            let supported = support[pixel];
+            if supported {
                 kappa[pixel] = 1.0;
                 kappa[area + pixel] = depth_m;
             }
@@ -329,7 +379,7 @@ impl<'a> Maker<'a> {
             let moved = (motion.transform_point3(point) - point) * UNITS_PER_METRE;
             for axis in 0..3 {
                 displacement[axis * area + pixel] = moved[axis] as f32;
-                if robot {
+                if supported {
                     kappa[(2 + axis) * area + pixel] = moved[axis] as f32;
                 }
             }
@@ -337,7 +387,7 @@ impl<'a> Maker<'a> {
         (kappa, displacement)
     }
 
-    fn prior(&self, camera: usize, frame: usize) -> GripperPrior {
+    pub(crate) fn prior(&self, camera: usize, frame: usize) -> GripperPrior {
         let k = self.episode.cameras[camera].intrinsics;
         let tool = inverse(&self.recorded(camera, frame)).transform_point3(self.episode.tool(frame));
         let centre_px = if tool.z > 0.0 {
@@ -371,6 +421,27 @@ impl<'a> Maker<'a> {
     }
 }
 
+/// Valid robot support by the rule of `robot-maps`: robot with all its neighbours, no two of which are links far apart in
+/// depth. `[A]`
+pub(crate) fn support(view: &View, width: usize) -> Vec<bool> {
+    let height = view.id.len() / width;
+    let apart =
+        |a: usize, b: usize| view.id[a] != view.id[b] && (view.depth_m[a] - view.depth_m[b]).abs() > LINK_STEP_M;
+    let valid = |pixel: usize| {
+        let (row, column) = (pixel / width, pixel % width);
+        if row == 0 || column == 0 || row + 1 == height || column + 1 == width {
+            return false;
+        }
+        let mut window = [0; 9];
+        for (index, other) in window.iter_mut().enumerate() {
+            *other = (row + index / 3 - 1) * width + column + index % 3 - 1;
+        }
+        window.iter().all(|&a| view.id[a] < FIRST_OBJECT_ID)
+            && !window.iter().any(|&a| window.iter().any(|&b| apart(a, b)))
+    };
+    (0..view.id.len()).map(valid).collect()
+}
+
 /// Depth in internal units and whether it counts.
 fn reference_depth(view: &View) -> (Vec<f32>, Vec<f32>) {
     let [nearest, farthest] = DEPTH_RANGE_M;
@@ -392,7 +463,7 @@ fn inverse(pose: &DAffine3) -> DAffine3 {
 }
 
 /// The stored form of a rigid transform, rotation row-major.
-fn rigid(pose: &DAffine3) -> RigidPose {
+pub(crate) fn rigid(pose: &DAffine3) -> RigidPose {
     let DMat3 { x_axis, y_axis, z_axis } = pose.matrix3;
     RigidPose {
         rotation: [

@@ -96,12 +96,13 @@ fn add_low_rank_updates(network: &mut Stage1, settings: &Stage1Training) -> Resu
 /// Peak learning rate of a parameter, `None` when it is not trained (`stage1-network.md` section 15).
 #[must_use]
 pub fn rate_of(name: &str, settings: &OptimiserSettings) -> Option<f64> {
-    let attributes = ["splat_head", "fk_branch"].iter().any(|part| name.contains(part));
     let head = name.contains("_head.");
     if name.contains("mask_token") {
         return None; // not a part of any output
     }
-    if attributes {
+    if name.starts_with("fk_branch") {
+        Some(settings.fk_rate)
+    } else if name.contains("splat_head") {
         Some(settings.head_rate)
     } else if head || name.contains(".lora_") {
         Some(settings.rate)

@@ -1,6 +1,7 @@
 //! Clips for training, made in the background in a fixed order: nothing touches the disk, and update `n` sees the same
 //! clips whether or not training was interrupted before it.
 
+use std::ops::Range;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::JoinHandle;
 
@@ -46,28 +47,40 @@ fn plans(data: &DataSettings, seed: u64, step: u64, first: u64) -> Vec<ClipPlan>
         .collect()
 }
 
-/// Batches from an update on, in order.
-pub struct Stream {
-    receiver: Option<Receiver<Result<Batch>>>,
+/// What updates are made from, in order, made ahead in the background.
+pub struct Stream<T> {
+    receiver: Option<Receiver<Result<T>>>,
     worker: Option<JoinHandle<()>>,
 }
 
-impl Stream {
-    /// Starts to make batches from update `from` to the last.
+/// The batches of a Stage-1 run from update `from` on.
+#[must_use]
+pub fn batches(settings: &Stage1Training, from: u64) -> Stream<Batch> {
+    let settings = settings.clone();
+    let clips_of = |settings: &Stage1Training, step| u64::from(shape(&settings.data, settings.seed, step).1);
+    let mut first: u64 = (0..from).map(|step| clips_of(&settings, step)).sum();
+    Stream::start(from..settings.steps, move |step| {
+        let data = &settings.data;
+        let plans = plans(data, settings.seed, step, first);
+        first += plans.len() as u64;
+        let with_targets = settings.losses.renders_views();
+        let clips: Result<_> = plans.iter().map(|plan| sampled(plan, data, with_targets)).collect();
+        Ok(Batch { step, clips: clips? })
+    })
+}
+
+impl<T: Send + 'static> Stream<T> {
+    /// Starts to make items for these updates; ends early after an error.
     #[must_use]
-    pub fn start(settings: &Stage1Training, from: u64) -> Self {
+    pub fn start(updates: Range<u64>, mut make: impl FnMut(u64) -> Result<T> + Send + 'static) -> Self {
         let (sender, receiver) = sync_channel(AHEAD);
-        let settings = settings.clone();
         let worker = std::thread::spawn(move || {
-            let (data, seed) = (&settings.data, settings.seed);
-            let mut first: u64 = (0..from).map(|step| u64::from(shape(data, seed, step).1)).sum();
-            let with_targets = settings.losses.renders_views();
-            for step in from..settings.steps {
-                let plans = plans(data, seed, step, first);
-                first += plans.len() as u64;
-                let clips: Result<Vec<Sample>> = plans.iter().map(|plan| made(plan, data, with_targets)).collect();
-                if sender.send(clips.map(|clips| Batch { step, clips })).is_err() {
-                    return; // nobody listens any more
+            for update in updates {
+                let item = make(update);
+                let failed = item.is_err();
+                // An error of `send` says that nobody listens any more.
+                if sender.send(item).is_err() || failed {
+                    return;
                 }
             }
         });
@@ -77,13 +90,13 @@ impl Stream {
         }
     }
 
-    /// The next batch; `None` after the last update.
-    pub fn next_batch(&mut self) -> Option<Result<Batch>> {
+    /// The next item; `None` after the last update.
+    pub fn next_item(&mut self) -> Option<Result<T>> {
         self.receiver.as_ref()?.recv().ok()
     }
 }
 
-impl Drop for Stream {
+impl<T> Drop for Stream<T> {
     fn drop(&mut self) {
         self.receiver = None;
         if let Some(worker) = self.worker.take() {
@@ -93,17 +106,7 @@ impl Drop for Stream {
     }
 }
 
-/// A clip; a seed for which no motion is found gives way to another one far from all others.
-fn made(plan: &ClipPlan, data: &DataSettings, with_targets: bool) -> Result<Sample> {
-    const FAR: u64 = 1 << 40;
-    match plan.sample(data, with_targets) {
-        Err(crate::Error::Synth(_)) => {
-            let other = ClipPlan {
-                seed: plan.seed + FAR,
-                ..plan.clone()
-            };
-            other.sample(data, with_targets)
-        }
-        result => result,
-    }
+/// The clip of a plan.
+fn sampled(plan: &ClipPlan, data: &DataSettings, with_targets: bool) -> Result<Sample> {
+    plan.or_another(|plan| plan.sample(data, with_targets))
 }

@@ -4,18 +4,22 @@ use std::collections::BTreeMap;
 
 use burn::tensor::Device;
 use rayon::prelude::*;
-use rogs_networks::parameters::to_host;
+use rogs_networks::checkpoint::stage1_metadata;
+use rogs_networks::parameters::{Parameters, to_host};
 use rogs_networks::stage1::Stage1;
 use rogs_random::Pcg64;
 
+use crate::checkpoint::State;
 use crate::config::Stage1Training;
 use crate::error::{Error, Result};
+use crate::evaluate::evaluate;
 use crate::forward::lift;
 use crate::objective::objective;
-use crate::optimiser::{Gradients, Moments, update};
+use crate::optimiser::{Gradients, Moments, Rule, schedule, update};
+use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
 use crate::sample::Sample;
 use crate::start;
-use crate::stream::Batch;
+use crate::stream::{Batch, Stream, batches};
 
 /// A run between two updates.
 pub struct Trainer {
@@ -27,21 +31,6 @@ pub struct Trainer {
     pub moments: Moments,
     /// Updates done.
     pub step: u64,
-}
-
-/// What an update did.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct UpdateReport {
-    /// The update, counted from 0.
-    pub step: u64,
-    /// The weighted sum of all losses.
-    pub loss: f64,
-    /// Each loss before its weight, mean over the clips.
-    pub terms: BTreeMap<String, f64>,
-    /// Norm of the gradient before clipping.
-    pub gradient_norm: f64,
-    /// Source images of the update.
-    pub images: usize,
 }
 
 impl Trainer {
@@ -58,57 +47,6 @@ impl Trainer {
             moments: Moments::default(),
             step: 0,
         })
-    }
-
-    /// One update. Clips are differentiated side by side on as many threads as there are; their gradients are added up in
-    /// their order.
-    ///
-    /// # Errors
-    /// When a loss or gradient is not finite, or the device fails; the network is unchanged then.
-    pub fn update(&mut self, batch: &Batch) -> Result<UpdateReport> {
-        let results: Vec<Result<ClipResult>> = (0..batch.clips.len())
-            .into_par_iter()
-            .with_max_len(1)
-            .map(|index| self.differentiate(&batch.clips[index], index as u64))
-            .collect();
-        let mut sum = Gradients::new();
-        let mut terms: BTreeMap<String, f64> = BTreeMap::new();
-        let (mut loss, share) = (0.0, 1.0 / batch.clips.len().max(1) as f64);
-        for result in results {
-            let ClipResult {
-                value,
-                terms: of_clip,
-                gradients,
-            } = result?;
-            loss += share * value;
-            for (key, value) in of_clip {
-                *terms.entry(key.to_owned()).or_insert(0.0) += share * value;
-            }
-            for (name, gradient) in gradients {
-                let total = sum.entry(name).or_insert_with(|| vec![0.0; gradient.len()]);
-                for (total, value) in total.iter_mut().zip(gradient) {
-                    *total += share as f32 * value;
-                }
-            }
-        }
-        let settings = &self.settings;
-        let gradient_norm = update(
-            &mut self.network.parameters,
-            &mut self.moments,
-            &sum,
-            &settings.optimiser,
-            self.step,
-            settings.steps,
-        )?;
-        let report = UpdateReport {
-            step: self.step,
-            loss,
-            terms,
-            gradient_norm,
-            images: batch.clips.iter().map(|clip| clip.views.len()).sum(),
-        };
-        self.step += 1;
-        Ok(report)
     }
 
     /// Loss and gradients of a clip.
@@ -140,6 +78,118 @@ impl Trainer {
             terms: objective.terms,
             gradients: by_name,
         })
+    }
+}
+
+impl Course for Trainer {
+    type Settings = Stage1Training;
+    type Batch = Batch;
+
+    const TITLE: &'static str = "Training of Stage 1";
+    const PICTURE: &'static str =
+        "Seen, rendered, reference depth, rendered depth; three source cameras, then their right eyes.";
+
+    fn settings(&self) -> &Stage1Training {
+        &self.settings
+    }
+
+    fn rhythm(&self) -> Rhythm {
+        Rhythm {
+            steps: self.settings.steps,
+            checkpoint_every: self.settings.checkpoint_every,
+            evaluate_every: self.settings.evaluate_every,
+        }
+    }
+
+    fn state(&mut self) -> State<'_> {
+        State {
+            parameters: &mut self.network.parameters,
+            moments: &mut self.moments,
+            step: &mut self.step,
+        }
+    }
+
+    fn parameters(&self) -> &Parameters {
+        &self.network.parameters
+    }
+
+    fn moments(&self) -> &Moments {
+        &self.moments
+    }
+
+    fn step(&self) -> u64 {
+        self.step
+    }
+
+    fn stream(&self) -> Result<Stream<Batch>> {
+        Ok(batches(&self.settings, self.step))
+    }
+
+    fn evaluate(&self) -> Result<Evaluation> {
+        evaluate(&self.network, &self.settings)
+    }
+
+    fn metadata(&self, time: &str) -> BTreeMap<String, String> {
+        let settings = &self.settings;
+        let start = match &settings.start {
+            Some(path) => format!(
+                "started from {}",
+                path.file_name().unwrap_or_default().to_string_lossy()
+            ),
+            None => format!("from scratch, seed {}", settings.seed),
+        };
+        let ([height, width], step) = (settings.data.size, self.step);
+        let provenance = format!(
+            "trained by rogs-train on procedural clips only, {step} updates at {height} x {width}, {start}{time}"
+        );
+        stage1_metadata(&self.network.config, step > 0, &provenance)
+    }
+
+    // Clips are differentiated side by side on as many threads as there are; their gradients are added up in their order.
+    fn update(&mut self, batch: &Batch) -> Result<UpdateReport> {
+        let results: Vec<Result<ClipResult>> = (0..batch.clips.len())
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|index| self.differentiate(&batch.clips[index], index as u64))
+            .collect();
+        let mut sum = Gradients::new();
+        let mut terms: BTreeMap<String, f64> = BTreeMap::new();
+        let (mut loss, share) = (0.0, 1.0 / batch.clips.len().max(1) as f64);
+        for result in results {
+            let ClipResult {
+                value,
+                terms: of_clip,
+                gradients,
+            } = result?;
+            loss += share * value;
+            for (key, value) in of_clip {
+                *terms.entry(key.to_owned()).or_insert(0.0) += share * value;
+            }
+            for (name, gradient) in gradients {
+                let total = sum.entry(name).or_insert_with(|| vec![0.0; gradient.len()]);
+                for (total, value) in total.iter_mut().zip(gradient) {
+                    *total += share as f32 * value;
+                }
+            }
+        }
+        let optimiser = &self.settings.optimiser;
+        let rule = Rule {
+            rate: &|name| start::rate_of(name, optimiser),
+            share: schedule(self.step, self.settings.steps, optimiser.warmup),
+            betas: optimiser.betas,
+            weight_decay: &|_| optimiser.weight_decay,
+            clip: optimiser.clip,
+        };
+        let gradient_norm = update(&mut self.network.parameters, &mut self.moments, &sum, &rule, self.step)?;
+        let report = UpdateReport {
+            step: self.step,
+            loss,
+            terms,
+            gradient_norm,
+            images: batch.clips.iter().map(|clip| clip.views.len()).sum(),
+        };
+        self.step += 1;
+        Ok(report)
     }
 }
 

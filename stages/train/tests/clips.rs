@@ -101,7 +101,8 @@ fn conditioning_maps_carry_the_mesh_and_its_motion() {
         for view in 0..sample.views.len() {
             let map = |channel: usize| &query.kappa[(7 * view + channel) * area..][..area];
             for pixel in 0..area {
-                let robot = sample.robot[view * area + pixel];
+                let robot = sample.support[view * area + pixel];
+                assert!(robot <= sample.robot[view * area + pixel]);
                 assert_eq!(map(0)[pixel], robot);
                 assert_eq!(map(5)[pixel], 1.0);
                 assert!((0.0..=1.0).contains(&map(6)[pixel]));

@@ -8,8 +8,10 @@ use rogs_random::Pcg64;
 use rogs_train::config::{DataSettings, LossWeights, OptimiserSettings};
 use rogs_train::forward::lift;
 use rogs_train::objective::objective;
+use rogs_train::run::run;
 use rogs_train::sample::{ClipPlan, Sample};
-use rogs_train::{Stage1Training, Stream, Trainer, run, start};
+use rogs_train::stream::batches;
+use rogs_train::{Course, Stage1Training, Trainer, start};
 
 /// A run small enough for a test: the compact network on very small images.
 fn tiny(steps: u64) -> Stage1Training {
@@ -35,6 +37,20 @@ fn tiny(steps: u64) -> Stage1Training {
     }
 }
 
+fn train(
+    settings: &Stage1Training,
+    folder: &Path,
+    stop_after: Option<u64>,
+    say: &mut dyn FnMut(&str),
+) -> rogs_train::Result<()> {
+    run(
+        &mut Trainer::new(settings.clone(), &Device::flex())?,
+        folder,
+        stop_after,
+        say,
+    )
+}
+
 fn sample(settings: &Stage1Training, seed: u64) -> Sample {
     let mut random = Pcg64::from_seed(seed);
     ClipPlan::draw(seed, 2, &settings.data, &mut random)
@@ -51,10 +67,10 @@ fn a_resumed_run_equals_an_uninterrupted_one() {
     let folder = tempfile::tempdir().unwrap();
     let (whole, parts) = (folder.path().join("whole"), folder.path().join("parts"));
     let settings = tiny(4);
-    run::run(&settings, &whole, None, &mut |_| {}).unwrap();
+    train(&settings, &whole, None, &mut |_| {}).unwrap();
     let mut said = Vec::new();
     for stop in [2, 4] {
-        run::run(&settings, &parts, Some(stop), &mut |line| said.push(line.to_owned())).unwrap();
+        train(&settings, &parts, Some(stop), &mut |line| said.push(line.to_owned())).unwrap();
         // What a kill between two checkpoints leaves behind: lines about updates that are made again.
         if stop == 2 {
             let path = parts.join("metrics.jsonl");
@@ -77,9 +93,9 @@ fn a_resumed_run_equals_an_uninterrupted_one() {
 #[test]
 fn a_folder_belongs_to_one_run() {
     let folder = tempfile::tempdir().unwrap();
-    run::run(&tiny(1), folder.path(), None, &mut |_| {}).unwrap();
+    train(&tiny(1), folder.path(), None, &mut |_| {}).unwrap();
     let other = Stage1Training { seed: 74, ..tiny(1) };
-    let error = run::run(&other, folder.path(), None, &mut |_| {})
+    let error = train(&other, folder.path(), None, &mut |_| {})
         .err()
         .unwrap()
         .to_string();
@@ -95,7 +111,7 @@ fn updates_are_the_same_for_any_number_of_threads() {
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let batch = Stream::start(&settings, 0).next_batch().unwrap().unwrap();
+            let batch = batches(&settings, 0).next_item().unwrap().unwrap();
             let mut trainer = Trainer::new(settings.clone(), &Device::flex()).unwrap();
             let report = trainer.update(&batch).unwrap();
             let name = "backbone.depth_head.scratch.output_conv2.2.weight";
@@ -224,7 +240,7 @@ fn a_network_learns_one_clip() {
 fn only_the_chosen_parameters_are_trained() {
     let mut settings = tiny(1);
     settings.optimiser.lora_rank = 4;
-    let batch = Stream::start(&settings, 0).next_batch().unwrap().unwrap();
+    let batch = batches(&settings, 0).next_item().unwrap().unwrap();
     let mut trainer = Trainer::new(settings.clone(), &Device::flex()).unwrap();
     let before: Vec<_> = trainer.network.parameters.names();
     let values = |trainer: &Trainer, name: &str| trainer.network.parameters.host(name).unwrap();

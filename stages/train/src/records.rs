@@ -1,0 +1,215 @@
+//! The records that the pipeline's stages would make of a procedural clip, without files: for training of Stage 2, and to
+//! hold the training clips against the stages themselves.
+
+use glam::DVec3;
+use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, SourceView};
+use rogs_schemas::records::conditioning::{Conditioning, ViewConditioning};
+use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
+use rogs_schemas::units::UNITS_PER_METRE;
+use rogs_synth::{ARM_JOINT_NAMES, CAMERA_NAMES, CAMERAS, FIRST_OBJECT_ID, View};
+
+use crate::sample::{DEPTH_RANGE_M, Maker, SOURCE_CAMERAS, rigid, support};
+
+/// The records of one clip.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Records {
+    /// Cameras, images and states. Only frames that the plan names have images.
+    pub clip: Clip,
+    /// Where robot and cameras are. Maps are those of the source views.
+    pub robot: RobotMaps,
+    /// How the robot moves.
+    pub conditioning: Conditioning,
+}
+
+impl Maker<'_> {
+    /// The records of the clip.
+    pub(crate) fn records(&self) -> Records {
+        let (clip, views) = self.clip();
+        let robot = self.robot(&clip, &views);
+        let conditioning = self.conditioning(&clip, &robot, &views);
+        Records {
+            clip,
+            robot,
+            conditioning,
+        }
+    }
+
+    /// The clip, and the pictures of the source cameras at the source frames.
+    fn clip(&self) -> (Clip, Vec<Vec<View>>) {
+        let [height, width] = self.data.size;
+        let (area, frames) = (height as usize * width as usize, self.data.clip_frames as usize);
+        let mut wanted: Vec<u32> = self.plan.sources.iter().chain(&self.plan.queries).copied().collect();
+        wanted.sort_unstable();
+        wanted.dedup();
+        let mut rgb = vec![vec![0u8; 3 * area * frames]; CAMERAS];
+        let mut depth = vec![vec![f32::NAN; area * frames]; CAMERAS];
+        let mut sources = Vec::new();
+        for &frame in &wanted {
+            let views = self.episode.render_frame(self.frame(frame)).views;
+            for (camera, view) in views.iter().enumerate() {
+                rgb[camera][frame as usize * 3 * area..][..3 * area].copy_from_slice(&view.rgb);
+                depth[camera][frame as usize * area..][..area].copy_from_slice(&view.depth_m);
+            }
+            if self.plan.sources.contains(&frame) {
+                sources.push(views.into_iter().take(SOURCE_CAMERAS).collect());
+            }
+        }
+        let mut images = rgb.into_iter().zip(depth);
+        let camera = |index: usize| ClipCamera {
+            id: CAMERA_NAMES[index].to_owned(),
+            role: if index < SOURCE_CAMERAS {
+                CameraRole::Source
+            } else {
+                CameraRole::Evaluation
+            },
+            partner: index.checked_sub(SOURCE_CAMERAS).map(|partner| partner as u32),
+            intrinsics: self.episode.cameras[index].intrinsics,
+            mount: CameraMount::Trajectory {
+                base_from_camera: (0..self.data.clip_frames)
+                    .map(|frame| rigid(&self.recorded(index, self.frame(frame))))
+                    .collect(),
+            },
+            rgb: None,
+            depth: None,
+        };
+        let cameras = (0..CAMERAS).map(|index| {
+            let (rgb, depth_m) = images.next().unwrap_or_default();
+            ClipCamera {
+                rgb: Some(rgb),
+                depth: Some(DepthReference {
+                    depth_m,
+                    range_m: DEPTH_RANGE_M,
+                }),
+                ..camera(index)
+            }
+        });
+        let states = (0..frames).map(|frame| &self.episode.states[self.plan.first as usize + frame]);
+        let clip = Clip {
+            clip_id: self.episode.id(),
+            episode_id: self.episode.id(),
+            layout: "procedural".into(),
+            task: self.episode.task(),
+            calibration_note: String::new(),
+            fps: self.episode.config.fps,
+            episode_frames: (self.plan.first..self.plan.first + self.data.clip_frames).collect(),
+            source_frames: self.plan.sources.clone(),
+            query_frames: self.plan.queries.clone(),
+            anchor_frame: self.plan.sources[0],
+            height,
+            width,
+            cameras: cameras.collect(),
+            robot: RobotStates {
+                joint_names: ARM_JOINT_NAMES.map(str::to_owned).to_vec(),
+                positions: states.clone().flat_map(|state| state.joints).collect(),
+                gripper: states.map(|state| state.gripper).collect(),
+            },
+            tracks: None,
+        };
+        (clip, sources)
+    }
+
+    fn robot(&self, clip: &Clip, sources: &[Vec<View>]) -> RobotMaps {
+        let frames = 0..self.data.clip_frames;
+        let links = (0..FIRST_OBJECT_ID)
+            .take_while(|&id| self.episode.body_pose(id, 0).is_some())
+            .count() as u8;
+        let link_poses = frames.clone().flat_map(|frame| {
+            (0..links).filter_map(move |id| self.episode.body_pose(id, self.frame(frame)).map(|pose| rigid(&pose)))
+        });
+        let maps = clip.source_views().into_iter().map(|view| {
+            let time = self.plan.sources.iter().position(|&frame| frame == view.frame);
+            let picture = &sources[time.unwrap_or(0)][view.camera as usize];
+            let robot = |id: u8| id < FIRST_OBJECT_ID;
+            RobotMap {
+                camera: view.camera,
+                frame: view.frame,
+                depth_m: (picture.depth_m.iter().zip(&picture.id))
+                    .map(|(&depth, &id)| if robot(id) { depth } else { 0.0 })
+                    .collect(),
+                link: picture
+                    .id
+                    .iter()
+                    .map(|&id| if robot(id) { id } else { NO_LINK })
+                    .collect(),
+                support: support(picture, clip.width as usize)
+                    .into_iter()
+                    .map(u8::from)
+                    .collect(),
+            }
+        });
+        RobotMaps {
+            clip_id: clip.clip_id.clone(),
+            link_names: (0..links).map(|id| format!("link{id}")).collect(),
+            base_from_link: link_poses.collect(),
+            base_from_camera: (0..CAMERAS)
+                .flat_map(|camera| frames.clone().map(move |frame| (camera, frame)))
+                .map(|(camera, frame)| rigid(&self.recorded(camera, self.frame(frame))))
+                .collect(),
+            recon_from_base: rigid(&self.recon_from_base),
+            tool_m: frames
+                .clone()
+                .flat_map(|frame| self.episode.tool(self.frame(frame)).to_array())
+                .collect(),
+            height: clip.height,
+            width: clip.width,
+            maps: maps.collect(),
+        }
+    }
+
+    fn conditioning(&self, clip: &Clip, robot: &RobotMaps, sources: &[Vec<View>]) -> Conditioning {
+        let query_frames = clip.field_frames();
+        let view_maps = clip.source_views().into_iter().zip(&robot.maps).map(|(view, map)| {
+            let time = self
+                .plan
+                .sources
+                .iter()
+                .position(|&frame| frame == view.frame)
+                .unwrap_or(0);
+            self.view_conditioning(view, map, &sources[time][view.camera as usize], &query_frames)
+        });
+        Conditioning {
+            clip_id: clip.clip_id.clone(),
+            height: clip.height,
+            width: clip.width,
+            views: clip.source_views(),
+            view_maps: view_maps.collect(),
+            query_frames,
+        }
+    }
+
+    fn view_conditioning(&self, view: SourceView, map: &RobotMap, picture: &View, queries: &[u32]) -> ViewConditioning {
+        let (camera, from) = (view.camera as usize, self.frame(view.frame));
+        let lens = &self.episode.cameras[camera];
+        let (width, k) = (lens.width as usize, lens.intrinsics);
+        let base_from_camera = self.episode.base_from_camera(camera, from);
+        let pixels: Vec<u32> = (0..map.support.len() as u32)
+            .filter(|&pixel| map.support[pixel as usize] != 0)
+            .collect();
+        let mut displacement_iu = Vec::with_capacity(3 * pixels.len() * queries.len());
+        for &query in queries {
+            for &pixel in &pixels {
+                let (row, column) = (pixel as usize / width, pixel as usize % width);
+                let ray = DVec3::new(
+                    (column as f64 + 0.5 - k.cx) / k.fx,
+                    (row as f64 + 0.5 - k.cy) / k.fy,
+                    1.0,
+                );
+                let point = base_from_camera.transform_point3(ray * f64::from(picture.depth_m[pixel as usize]));
+                let moved = self
+                    .episode
+                    .displacement(map.link[pixel as usize], point, from, self.frame(query))
+                    .unwrap_or_default();
+                let moved = self.recon_from_base.matrix3 * moved * UNITS_PER_METRE;
+                displacement_iu.extend(moved.as_vec3().to_array());
+            }
+        }
+        ViewConditioning {
+            link: pixels.iter().map(|&pixel| map.link[pixel as usize]).collect(),
+            depth_m: pixels.iter().map(|&pixel| map.depth_m[pixel as usize]).collect(),
+            pixels,
+            displacement_iu,
+            available: vec![1; queries.len()],
+            prior: self.prior(camera, from),
+        }
+    }
+}

@@ -1,0 +1,89 @@
+//! The training code and the pipeline's lifting stage are two programs of the same formulas: they must agree.
+
+use burn::tensor::Device;
+use rogs_lift::{LiftParams, Model, lift_clip};
+use rogs_networks::parameters::to_host;
+use rogs_networks::stage1::{Stage1Config, seeded};
+use rogs_random::Pcg64;
+use rogs_schemas::records::clip::time_of_frame;
+use rogs_schemas::records::field::WeightsInfo;
+use rogs_schemas::units::m_from_iu;
+use rogs_train::config::DataSettings;
+use rogs_train::forward::lift;
+use rogs_train::sample::ClipPlan;
+
+#[test]
+fn lifting_in_training_equals_the_lift_stage() {
+    let data = DataSettings {
+        size: [56, 98],
+        queries: 2,
+        ..DataSettings::default()
+    };
+    let plan = ClipPlan::draw(3, 2, &data, &mut Pcg64::from_seed(3));
+    let (sample, records) = (plan.sample(&data, false).unwrap(), plan.records(&data).unwrap());
+    let mut network = seeded::network(&Stage1Config::compact(), 5, &Device::flex()).unwrap();
+    // Motion and the FK branch start at zero: give them something to say.
+    for name in [
+        "backbone.motion_head.scratch.output_conv2.2.weight",
+        "fk_branch.conv3.weight",
+    ] {
+        let shape = network.parameters.shape(name).unwrap().to_vec();
+        let count = shape.iter().product::<usize>();
+        let values = (0..count)
+            .map(|k| ((k * 7919 % 97) as f32 / 97.0 - 0.5) * 0.2)
+            .collect();
+        network.parameters.insert(name, &shape, values).unwrap();
+    }
+    let lifted = lift(&network, &sample, true).unwrap();
+    let info = WeightsInfo {
+        trained: false,
+        configuration: "compact".into(),
+        description: String::new(),
+        hash: String::new(),
+    };
+    let model = Model { network, info };
+    let (params, mut warnings) = (LiftParams::default(), Vec::new());
+    let field = lift_clip(
+        &model,
+        &params,
+        &records.clip,
+        &records.robot,
+        &records.conditioning,
+        &mut |_, _, work| work(),
+        &mut warnings,
+    )
+    .unwrap();
+    let area = sample.size[0] * sample.size[1];
+    let close = |a: f32, b: f32, what: &str| assert!((a - b).abs() < 2e-4 * (1.0 + b.abs()), "{what}: {a} {b}");
+    let supported = sample.support.iter().filter(|&&value| value > 0.0).count();
+    assert_eq!(supported, field.support.iter().filter(|&&value| value != 0).count());
+    assert!(supported > 50);
+    let position = to_host(lifted.position).unwrap();
+    for (gaussian, stored) in field.position_m.chunks_exact(3).enumerate() {
+        let (view, pixel) = (gaussian / area, gaussian % area);
+        for axis in 0..3 {
+            close(
+                stored[axis],
+                m_from_iu(position[(3 * view + axis) * area + pixel]),
+                "position",
+            );
+        }
+    }
+    let mut moved = 0.0f32;
+    for (query, outputs) in sample.queries.iter().zip(&lifted.queries) {
+        let frame = (0..17)
+            .find(|&frame| time_of_frame(frame, 17) as f32 == query.time)
+            .unwrap();
+        let slice = field.slice_at(time_of_frame(frame, 17)).unwrap();
+        let displacement = to_host(outputs.displacement.clone()).unwrap();
+        for (gaussian, stored) in slice.displacement_m.chunks_exact(3).enumerate() {
+            let (view, pixel) = (gaussian / area, gaussian % area);
+            for axis in 0..3 {
+                let own = m_from_iu(displacement[(3 * view + axis) * area + pixel]);
+                close(stored[axis], own, "displacement");
+                moved = moved.max(own.abs());
+            }
+        }
+    }
+    assert!(moved > 1e-3);
+}
