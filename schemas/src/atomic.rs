@@ -5,6 +5,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
+use crate::fault;
 
 /// Writes a file beside its place, flushes it to disk, renames it over `path` and flushes the folder.
 ///
@@ -19,10 +20,16 @@ pub fn write_with(path: &Path, fill: impl FnOnce(&mut File) -> std::io::Result<(
         _ => Path::new("."),
     };
     let (temporary, mut file) = create_temporary(folder, path)?;
-    let written = fill(&mut file)
-        .and_then(|()| file.sync_all())
+    let written = fault::at("write", path)
+        .and_then(|()| fill(&mut file))
+        .and_then(|()| half_of(&file, path))
+        .and_then(|()| fault::at("sync", path).and_then(|()| file.sync_all()))
         .map_err(io("writing", &temporary))
-        .and_then(|()| std::fs::rename(&temporary, path).map_err(io("renaming to", path)));
+        .and_then(|()| {
+            fault::at("rename", path)
+                .and_then(|()| std::fs::rename(&temporary, path))
+                .map_err(io("renaming to", path))
+        });
     if let Err(error) = written {
         drop(file);
         // The first error is the one to report; a file that stays behind is swept later.
@@ -30,6 +37,14 @@ pub fn write_with(path: &Path, fill: impl FnOnce(&mut File) -> std::io::Result<(
         return Err(error);
     }
     sync_folder(folder)
+}
+
+/// For tests: a write that ends half way.
+fn half_of(file: &File, path: &Path) -> std::io::Result<()> {
+    fault::at("short", path).or_else(|error| {
+        file.set_len(file.metadata()?.len() / 2)?;
+        Err(error)
+    })
 }
 
 /// [`write_with`] for bytes at hand.
@@ -128,7 +143,8 @@ fn create_temporary(folder: &Path, path: &Path) -> Result<(PathBuf, File)> {
             format!("-{attempt}")
         };
         let temporary = folder.join(format!(".{name}.{process}{suffix}.tmp"));
-        match OpenOptions::new().write(true).create_new(true).open(&temporary) {
+        let create = || OpenOptions::new().write(true).create_new(true).open(&temporary);
+        match fault::at("create", path).and_then(|()| create()) {
             Ok(file) => return Ok((temporary, file)),
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
             Err(error) => return Err(io("creating", &temporary)(error)),
@@ -141,7 +157,8 @@ fn create_temporary(folder: &Path, path: &Path) -> Result<(PathBuf, File)> {
 
 fn sync_folder(folder: &Path) -> Result<()> {
     if cfg!(unix) {
-        File::open(folder)
+        fault::at("folder", folder)
+            .and_then(|()| File::open(folder))
             .and_then(|folder| folder.sync_all())
             .map_err(io("flushing", folder))?;
     }

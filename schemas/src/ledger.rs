@@ -98,6 +98,7 @@ pub fn append(path: &Path, attempt: &Attempt) -> Result<()> {
         path: path.to_owned(),
         source,
     };
+    crate::fault::at("append", path).map_err(io)?;
     let mut line = serde_json::to_vec(attempt).map_err(|error| io(std::io::Error::other(error)))?;
     line.push(b'\n');
     let open = || std::fs::OpenOptions::new().create(true).append(true).open(path);

@@ -4,6 +4,7 @@
 pub mod atomic;
 pub mod episode;
 pub mod error;
+mod fault;
 pub mod key;
 pub mod ledger;
 mod memory;

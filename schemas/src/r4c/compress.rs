@@ -225,6 +225,9 @@ fn unshuffle(planes: &[&[u8]], out: &mut [u8]) -> u32 {
     crc
 }
 
+/// A plane that shrinks by less than this part of itself is stored as it is: reading it costs more than it saves.
+const LEAST_GAIN: usize = 16;
+
 /// Lengths of the stored planes, then the planes. `buffer` is memory to work in.
 fn compress_planes(
     compressor: &mut Compressor<'_>,
@@ -233,13 +236,13 @@ fn compress_planes(
     stride: usize,
 ) -> std::io::Result<Vec<u8>> {
     let count = planes.len() / stride;
-    // A plane that does not shrink is copied over what its frame left behind.
+    // A plane that hardly shrinks is copied over what its frame left behind.
     let room = zstd::zstd_safe::compress_bound(count);
     let all = buffer.take(4 * stride + planes.len() + room)?;
     let mut end = 4 * stride;
     for (number, plane) in planes.chunks_exact(count.max(1)).enumerate() {
         let mut length = compressor.compress_to_buffer(plane, &mut all[end..end + room])?;
-        if length >= plane.len() {
+        if length + plane.len() / LEAST_GAIN > plane.len() {
             length = plane.len();
             all[end..end + length].copy_from_slice(plane);
         }

@@ -30,7 +30,7 @@ mod writer;
 
 pub use inspect::{ChunkTotals, InspectReport, StreamReport, inspect};
 pub use layout::{MAX_BLOCK, MAX_CHUNK, MAX_CHUNKS, MAX_FILE, MIN_FILE};
-pub use reader::{FileHeader, Limits, Reader, read_header, verify};
+pub use reader::{FileHeader, Limits, Reader, read_header, read_key, verify};
 pub use stream::{Codec, Dtype, Element, Frame, StreamInfo, StreamSpec, Unit};
 pub use writer::{Chunk, Writer};
 

@@ -62,6 +62,41 @@ pub fn read_header(path: &Path) -> Result<FileHeader> {
     Ok(Reader::open(path)?.header())
 }
 
+/// Reads only the cache key: the 64 bytes at the begin and at the end of the file, with their checksums, and its length.
+/// A file that was cut off or never finished has none; what lies between is not looked at.
+///
+/// # Errors
+/// When the file is missing, cut off, or no container.
+pub fn read_key(path: &Path) -> Result<CacheKey> {
+    let io = |source| Error::Io {
+        action: "opening",
+        path: path.to_owned(),
+        source,
+    };
+    let damaged = |offset: u64, check: String| Error::Damaged {
+        path: path.to_owned(),
+        offset,
+        check,
+    };
+    crate::fault::at("open", path).map_err(io)?;
+    let file = File::open(path).map_err(io)?;
+    let status = file.metadata().map_err(io)?;
+    let length = status.len();
+    if !status.is_file() || length < MIN_FILE {
+        return Err(damaged(0, format!("it is no container file ({length} bytes)")));
+    }
+    let footer = Footer::from_bytes(&edge(&file, length - EDGE).map_err(io)?)
+        .map_err(|(at, check)| damaged(length - EDGE + at, check))?;
+    if footer.file_length != length {
+        return Err(damaged(
+            length - 16,
+            format!("it should be {} bytes long, not {length}", footer.file_length),
+        ));
+    }
+    let prologue = Prologue::from_bytes(&edge(&file, 0).map_err(io)?).map_err(|(at, check)| damaged(at, check))?;
+    Ok(prologue.key)
+}
+
 /// Checks every byte of a file: [`read_header`], all chunks, and the content hash.
 ///
 /// # Errors
@@ -137,6 +172,7 @@ impl Reader {
             offset,
             check,
         };
+        crate::fault::at("open", path).map_err(io("opening"))?;
         let file = File::open(path).map_err(io("opening"))?;
         let status = file.metadata().map_err(io("opening"))?;
         let length = status.len();

@@ -105,7 +105,7 @@ pub enum Codec {
     /// Differences of successive scalars (integers only), then shuffle and zstd.
     DeltaShuffleZstd,
     /// Bytes transposed as for `ShuffleZstd`, then each byte plane by itself: one zstd frame, or as it is where that
-    /// would not be smaller. A list of stored lengths (u32 a plane) comes first. The low bytes of floats are noise, which
+    /// would hardly be smaller. A list of stored lengths (u32 a plane) comes first. The low bytes of floats are noise, which
     /// costs nothing this way, and the others get statistics of their own. Needs [`FEATURE_PLANES`](super::FEATURE_PLANES).
     PlanesZstd,
 }
