@@ -16,6 +16,8 @@ pub struct Stage1Training {
     pub configuration: String,
     /// Checkpoint to start from; without one, weights are drawn from the seed.
     pub start: Option<PathBuf>,
+    /// Starts the FK branch anew although the checkpoint has one.
+    pub fresh_fk_branch: bool,
     /// Seed of weights, data order and dropout.
     pub seed: u64,
     /// Updates of the whole schedule.
@@ -115,6 +117,7 @@ impl Default for Stage1Training {
         Self {
             configuration: "compact".into(),
             start: None,
+            fresh_fk_branch: false,
             seed: 73,
             steps: 3462,
             checkpoint_every: 100,
@@ -217,13 +220,9 @@ impl Stage1Training {
     /// # Errors
     /// With line and column where the file cannot be understood, or the setting that is out of range.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
-        let mut settings: Self = toml::from_str(&text).map_err(|error| Error::Configuration {
-            path: path.to_owned(),
-            reason: error.to_string(),
-        })?;
+        let mut settings: Self = read_toml(path)?;
         if let (Some(start), Some(folder)) = (&settings.start, path.parent()) {
-            settings.start = Some(folder.join(start));
+            settings.start = Some(absolute(&folder.join(start))?);
         }
         settings.check()?;
         Ok(settings)
@@ -243,39 +242,7 @@ impl Stage1Training {
                 "at least 1, and so must both intervals be",
             );
         }
-        let data = &self.data;
-        let [height, width] = data.size;
-        let patch = network.patch as u32;
-        if height == 0 || width == 0 || height % patch != 0 || width % patch != 0 || height > 2160 || width > 3840 {
-            return wrong(
-                "data.size",
-                format!("{height} x {width}"),
-                "a multiple of the patch side (14)",
-            );
-        }
-        if !(2..=1000).contains(&data.clip_frames) {
-            return wrong("data.clip_frames", data.clip_frames.to_string(), "from 2 to 1000");
-        }
-        let [fewest, most] = data.source_times;
-        if fewest < 1 || fewest > most || most > data.clip_frames {
-            let rule = "at least 1, ascending, at most the frames of a clip";
-            return wrong("data.source_times", format!("{fewest} to {most}"), rule);
-        }
-        if data.queries == 0 || data.queries > data.clip_frames {
-            return wrong(
-                "data.queries",
-                data.queries.to_string(),
-                "from 1 to the frames of a clip",
-            );
-        }
-        if data.images_per_step < 3 * most {
-            let rule = "at least 3 cameras times the most source times";
-            return wrong("data.images_per_step", data.images_per_step.to_string(), rule);
-        }
-        if !(0.0..=1.0).contains(&data.conditioning_dropout) {
-            let value = data.conditioning_dropout.to_string();
-            return wrong("data.conditioning_dropout", value, "a probability");
-        }
+        self.data.check(network.patch as u32)?;
         let optimiser = &self.optimiser;
         let rates = [
             optimiser.rate,
@@ -310,4 +277,60 @@ impl Stage1Training {
         }
         Ok(())
     }
+}
+
+impl DataSettings {
+    /// Checks every setting for a network of this patch side.
+    ///
+    /// # Errors
+    /// The first setting that is out of its range.
+    pub fn check(&self, patch: u32) -> Result<()> {
+        let wrong = |what, value: String, rule| Err(Error::Setting { what, value, rule });
+        let [height, width] = self.size;
+        if height == 0 || width == 0 || height % patch != 0 || width % patch != 0 || height > 2160 || width > 3840 {
+            return wrong(
+                "data.size",
+                format!("{height} x {width}"),
+                "a multiple of the patch side (14)",
+            );
+        }
+        if !(2..=1000).contains(&self.clip_frames) {
+            return wrong("data.clip_frames", self.clip_frames.to_string(), "from 2 to 1000");
+        }
+        let [fewest, most] = self.source_times;
+        if fewest < 1 || fewest > most || most > self.clip_frames {
+            let rule = "at least 1, ascending, at most the frames of a clip";
+            return wrong("data.source_times", format!("{fewest} to {most}"), rule);
+        }
+        if self.queries == 0 || self.queries > self.clip_frames {
+            return wrong(
+                "data.queries",
+                self.queries.to_string(),
+                "from 1 to the frames of a clip",
+            );
+        }
+        if self.images_per_step < 3 * most {
+            let rule = "at least 3 cameras times the most source times";
+            return wrong("data.images_per_step", self.images_per_step.to_string(), rule);
+        }
+        if !(0.0..=1.0).contains(&self.conditioning_dropout) {
+            let value = self.conditioning_dropout.to_string();
+            return wrong("data.conditioning_dropout", value, "a probability");
+        }
+        Ok(())
+    }
+}
+
+/// A path that still holds when the settings lie in a run's folder.
+pub(crate) fn absolute(path: &Path) -> Result<PathBuf> {
+    std::path::absolute(path).map_err(Error::io(path))
+}
+
+/// Settings of a TOML file.
+pub(crate) fn read_toml<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T> {
+    let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
+    toml::from_str(&text).map_err(|error| Error::Configuration {
+        path: path.to_owned(),
+        reason: error.to_string(),
+    })
 }

@@ -58,6 +58,9 @@ pub enum Error {
     /// The generator failed.
     #[error(transparent)]
     Synth(#[from] rogs_synth::Error),
+    /// Lifting or refining a clip failed.
+    #[error("{0}")]
+    Stage(String),
     /// The rasteriser failed.
     #[error(transparent)]
     Splat(#[from] rogs_splat::SplatError),

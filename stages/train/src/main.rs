@@ -8,7 +8,7 @@ use clap::{Parser, Subcommand, ValueEnum};
 use rogs_networks::checkpoint::{ElementType, PROVENANCE};
 use rogs_train::checkpoint::{RunFolder, export};
 use rogs_train::run::{Course, run};
-use rogs_train::{Error, Result, Stage1Training, Trainer};
+use rogs_train::{Error, Result, Stage1Training, Stage2Trainer, Stage2Training, Trainer};
 
 /// Trains the networks of rogs on procedural clips with exact references.
 #[derive(Parser)]
@@ -31,7 +31,18 @@ enum Command {
         #[arg(long)]
         stop_after: Option<u64>,
     },
-    /// Writes the network of a run as a weights file for `rogs`.
+    /// Trains Stage 2, the refiner, on fields of a trained Stage 1; the same command goes on after a stop.
+    Stage2 {
+        /// TOML file of settings; `lift` names the weights of Stage 1.
+        settings: PathBuf,
+        /// Folder of the run.
+        #[arg(long)]
+        out: PathBuf,
+        /// Stops once this many updates are done; the schedule stays that of all of them.
+        #[arg(long)]
+        stop_after: Option<u64>,
+    },
+    /// Writes the Stage-1 network of a run as a weights file for `rogs`.
     Export {
         /// Folder of the run.
         folder: PathBuf,
@@ -82,6 +93,16 @@ fn execute(command: Command) -> Result<()> {
             println!("{}", out.join("model.safetensors").display());
             Ok(())
         }
+        Command::Stage2 {
+            settings,
+            out,
+            stop_after,
+        } => {
+            let mut trainer = Stage2Trainer::new(Stage2Training::read(&settings)?)?;
+            run(&mut trainer, &out, stop_after, &mut |line| eprintln!("{line}"))?;
+            println!("{}", out.join("model.safetensors").display());
+            Ok(())
+        }
         Command::Export {
             folder,
             out,
@@ -89,8 +110,14 @@ fn execute(command: Command) -> Result<()> {
             provenance,
         } => {
             let settings = Stage1Training::read(&folder.join("settings.toml"))?;
-            let mut trainer = Trainer::new(settings.clone(), &Device::flex())?;
+            // The state holds every parameter: the checkpoint that the run started from need not be there any more.
+            let alone = Stage1Training {
+                start: None,
+                ..settings.clone()
+            };
+            let mut trainer = Trainer::new(alone, &Device::flex())?;
             RunFolder::open(&folder, &settings)?.resume(trainer.state())?;
+            trainer.settings = settings;
             let element = match numbers {
                 Numbers::F32 => ElementType::F32,
                 Numbers::F16 => ElementType::F16,

@@ -29,11 +29,8 @@ pub fn network(settings: &Stage1Training, device: &Device) -> Result<Stage1> {
             rule: "that of the checkpoint to start from",
         });
     }
-    if settings.start.is_some() && network.fk_branch()?.is_none() {
-        for spec in layout::fk_branch(&config) {
-            let values = seeded::values(&spec, &config, settings.seed);
-            network.parameters.insert(&spec.name, &spec.shape, values)?;
-        }
+    if settings.fresh_fk_branch || network.fk_branch()?.is_none() {
+        fresh_fk_branch(&mut network, settings.seed)?;
     }
     if settings.optimiser.lora_rank > 0 {
         add_low_rank_updates(&mut network, settings)?;
@@ -45,6 +42,7 @@ pub fn network(settings: &Stage1Training, device: &Device) -> Result<Stage1> {
 /// beside a trained encoder; alone, it would get no gradient for ever.
 fn from_seed(config: &Stage1Config, seed: u64, device: &Device) -> Result<Stage1> {
     let mut network = seeded::network(config, seed, device)?;
+    fresh_fk_branch(&mut network, seed)?;
     let parameters = &mut network.parameters;
     let (width, patch) = (config.width, config.patch);
     let name = "backbone.plucker_embed.net.weight";
@@ -67,6 +65,32 @@ fn from_seed(config: &Stage1Config, seed: u64, device: &Device) -> Result<Stage1
         }
     }
     Ok(network)
+}
+
+/// An FK branch that says nothing yet and has its input at hand: the first units carry both signs of the FK displacement
+/// through to the last convolution, which is zero. A branch of seeded units at a high rate dies before it learns.
+fn fresh_fk_branch(network: &mut Stage1, seed: u64) -> Result<()> {
+    const CENTRE: usize = 4;
+    let config = network.config.clone();
+    for spec in layout::fk_branch(&config) {
+        let mut values = seeded::values(&spec, &config, seed);
+        let taps = |unit: usize, input: usize| (unit * spec.shape[1] + input) * 9;
+        let passing = (0..6.min(config.fk_hidden)).map(|unit| match spec.name.as_str() {
+            "fk_branch.conv1.weight" => (unit, Some((2 + unit / 2, if unit % 2 == 0 { 1.0 } else { -1.0 }))),
+            "fk_branch.conv2.weight" => (unit, Some((unit, 1.0))),
+            _ => (unit, None),
+        });
+        for (unit, pass) in passing {
+            if let Some((input, gain)) = pass {
+                values[taps(unit, 0)..taps(unit + 1, 0)].fill(0.0);
+                values[taps(unit, input) + CENTRE] = gain;
+            } else if spec.shape.len() == 1 && !spec.name.contains("conv3") {
+                values[unit] = 0.0;
+            }
+        }
+        network.parameters.insert(&spec.name, &spec.shape, values)?;
+    }
+    Ok(())
 }
 
 /// Adds A (seeded) and B (zero) of the QKV and output projections of all aggregator blocks.
