@@ -1,11 +1,13 @@
-//! Times PSNR and SSIM per 154x280 pair, beside the Python peers in the same run when `ROGS_PEER_PYTHON` names an
-//! interpreter that has numpy, OpenCV and scikit-image.
+//! Times PSNR, SSIM and LPIPS per 154x280 pair, beside the Python peers in the same run when `ROGS_PEER_PYTHON` names an
+//! interpreter that has numpy, OpenCV, scikit-image, torch and lpips. LPIPS runs on random weights of VGG16's size.
 //!
 //! `ROGS_PEER_PYTHON=python cargo bench -p rogs-score --bench metrics`
 
+use std::collections::BTreeMap;
 use std::process::Command;
 use std::time::Instant;
 
+use rogs_networks::lpips::{Lpips, LpipsWeights};
 use rogs_score::metrics::{Pixels, RgbView, SsimVariant, psnr, ssim};
 
 const PAIRS: usize = 48;
@@ -37,6 +39,16 @@ try:
     bench("SSIM scikit-image f32", lambda: [S(x, y, channel_axis=2, data_range=1., gaussian_weights=True, sigma=1.5,
         use_sample_covariance=False) for x, y in zip(a[:12], b[:12])], 12, 5)
 except ImportError as e: print("no scikit-image:", e)
+try:
+    import torch, lpips, warnings; warnings.simplefilter("ignore")
+    torch.set_num_threads(2)
+    net = lpips.LPIPS(net="vgg", pnet_rand=True, verbose=False).eval()
+    def t(x): return torch.from_numpy(x).permute(2, 0, 1)[None] * 2 - 1
+    def run(k):
+        with torch.no_grad():
+            for x, y in zip(a[:k], b[:k]): net(t(x), t(y))
+    bench("LPIPS lpips + torch, 2 threads", lambda: run(2), 2, 5)
+except ImportError as e: print("no lpips:", e)
 "#;
 
 fn main() {
@@ -71,6 +83,27 @@ fn main() {
             }
         });
     }
+    let network = random_vgg();
+    let bytes = |index: usize| &b[index * HEIGHT * WIDTH * 3..(index + 1) * HEIGHT * WIDTH * 3];
+    for threads in [1, 2] {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("thread pool");
+        pool.install(|| {
+            let of = |rgb: &[f32]| network.features(rgb, HEIGHT, WIDTH).expect("sizes agree");
+            let image = |index: usize| &a[index * HEIGHT * WIDTH * 3..(index + 1) * HEIGHT * WIDTH * 3];
+            let distance = |a, b| network.distance(a, b).expect("sizes agree");
+            let name = |what: &str| format!("LPIPS rogs f32, {what}, {threads} thread(s)");
+            time_some(&name("both images"), 2, |index| {
+                distance(&of(image(index)), &of(bytes(index)))
+            });
+            let references: Vec<_> = (0..2).map(|index| of(bytes(index))).collect();
+            time_some(&name("reference kept"), 2, |index| {
+                distance(&of(image(index)), &references[index])
+            });
+        });
+    }
     match std::env::var_os("ROGS_PEER_PYTHON") {
         None => println!("ROGS_PEER_PYTHON is not set: no peers timed"),
         Some(python) => match Command::new(&python).args(["-c", PEERS]).status() {
@@ -93,24 +126,53 @@ fn pairs() -> (Vec<f32>, Vec<f32>) {
     (a, b)
 }
 
-fn time(name: &str, mut metric: impl FnMut(usize) -> f64) {
+/// LPIPS with random weights of VGG16's widths.
+fn random_vgg() -> Lpips {
+    let mut rng = rogs_random::Pcg64::from_seed(1);
+    let mut values = |count: usize, scale: f64| -> Vec<f32> {
+        (0..count).map(|_| (scale * (rng.next_double() - 0.5)) as f32).collect()
+    };
+    let widths = [64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512];
+    let places = [0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28];
+    let mut tensors = BTreeMap::new();
+    let mut inputs = 3;
+    for (place, width) in places.into_iter().zip(widths) {
+        let scale = (24.0 / (9 * inputs) as f64).sqrt();
+        let weight = values(width * inputs * 9, scale);
+        tensors.insert(format!("features.{place}.weight"), (vec![width, inputs, 3, 3], weight));
+        tensors.insert(format!("features.{place}.bias"), (vec![width], vec![0.0; width]));
+        inputs = width;
+    }
+    for (layer, width) in [64, 128, 256, 512, 512].into_iter().enumerate() {
+        let head: Vec<f32> = values(width, 1.0).into_iter().map(f32::abs).collect();
+        tensors.insert(format!("lin{layer}.model.1.weight"), (vec![1, width, 1, 1], head));
+    }
+    let lookup = |name: &str| Ok(tensors.get(name).cloned());
+    Lpips::new(LpipsWeights::from_lookup("random".to_owned(), lookup).expect("complete"))
+}
+
+fn time(name: &str, metric: impl FnMut(usize) -> f64) {
+    time_some(name, PAIRS, metric);
+}
+
+fn time_some(name: &str, pairs: usize, mut metric: impl FnMut(usize) -> f64) {
     let mut seconds = Vec::new();
     let mut sum = 0.0;
     let before = cpu_seconds();
     for _ in 0..10 {
         let start = Instant::now();
-        sum += (0..PAIRS).map(&mut metric).sum::<f64>();
-        seconds.push(start.elapsed().as_secs_f64() / PAIRS as f64 * 1e3);
+        sum += (0..pairs).map(&mut metric).sum::<f64>();
+        seconds.push(start.elapsed().as_secs_f64() / pairs as f64 * 1e3);
     }
     let cpu = cpu_seconds()
         .zip(before)
-        .map_or(f64::NAN, |(after, before)| (after - before) / (10 * PAIRS) as f64 * 1e3);
+        .map_or(f64::NAN, |(after, before)| (after - before) / (10 * pairs) as f64 * 1e3);
     seconds.remove(0);
     seconds.sort_by(f64::total_cmp);
     let (median, best) = (seconds[4], seconds[0]);
     println!(
         "{name}: median {median:.3} ms a pair, best {best:.3}, CPU {cpu:.3} (mean value {:.4})",
-        sum / (10 * PAIRS) as f64
+        sum / (10 * pairs) as f64
     );
 }
 

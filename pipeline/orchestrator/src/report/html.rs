@@ -7,7 +7,8 @@ use rogs_schemas::records::clip::{CameraMount, Clip};
 use rogs_schemas::records::field::WeightsInfo;
 use rogs_schemas::records::scores::ScoreSheet;
 
-use super::pictures::Figure;
+use super::pictures::{Comparison, Figure};
+use super::plots::{Plot, svg};
 use super::{ClipReport, FailureReport, ReportTable, TimingReport};
 
 const STYLE: &str = "
@@ -20,6 +21,8 @@ figure{margin:.4em 0} figcaption{font-size:.85em;opacity:.75} img{max-width:100%
 .banner{border:3px solid #c60;background:#fa03;padding:.8em 1em;font-weight:600;margin:1em 0}
 .failure{border-left:4px solid #c22;padding:.3em .8em;margin:.5em 0;background:#c221}
 .warning{border-left:4px solid #c90;padding:.2em .8em;margin:.3em 0}
+.plots{display:flex;flex-wrap:wrap;gap:1em} .plots figcaption{font-weight:600;opacity:1}
+.grid td,.grid th{border:0;padding:2px;text-align:center;font-weight:500;font-size:.85em} .grid th:first-child{text-align:right;max-width:11em}
 .note{opacity:.75} details{border-top:1px solid #8885;padding:.6em 0} summary{cursor:pointer;font-size:1.15em;font-weight:600}
 ";
 
@@ -117,6 +120,19 @@ impl Page {
         for footnote in &table.footnotes {
             let _ = writeln!(self.html, "<p class=\"note\">{}</p>", escape(footnote));
         }
+    }
+
+    pub(super) fn plots(&mut self, plots: &[Plot]) {
+        let drawn: Vec<(&Plot, String)> = plots.iter().map(|plot| (plot, svg(plot))).collect();
+        if drawn.iter().all(|(_, svg)| svg.is_empty()) {
+            return;
+        }
+        self.html.push_str("<h2>Figures</h2>\n<div class=\"plots\">\n");
+        for (plot, svg) in drawn.iter().filter(|(_, svg)| !svg.is_empty()) {
+            let title = escape(&plot.title);
+            let _ = writeln!(self.html, "<figure><figcaption>{title}</figcaption>{svg}</figure>");
+        }
+        self.html.push_str("</div>\n");
     }
 
     pub(super) fn failures(&mut self, clips: &[ClipReport]) {
@@ -277,6 +293,43 @@ impl Section {
                 figure.media_type
             );
         }
+    }
+
+    /// Reference, predictions and error maps of chosen views, methods side by side.
+    pub(super) fn comparison(&mut self, comparison: &Comparison) {
+        if comparison.rows.is_empty() {
+            return;
+        }
+        self.html
+            .push_str("<h3>Reference, predictions, errors</h3>\n<table class=\"grid\"><tr><th></th>");
+        for column in &comparison.columns {
+            let _ = write!(self.html, "<th>{}</th>", escape(column));
+        }
+        self.html.push_str("</tr>\n");
+        for (label, cells) in &comparison.rows {
+            let _ = write!(self.html, "<tr><th>{}</th>", escape(label));
+            for cell in cells {
+                match cell {
+                    Some(figure) => {
+                        let data = base64::engine::general_purpose::STANDARD.encode(&figure.bytes);
+                        let _ = write!(
+                            self.html,
+                            "<td><img alt=\"{}\" src=\"data:{};base64,{data}\"></td>",
+                            escape(&figure.caption),
+                            figure.media_type
+                        );
+                    }
+                    None => self.html.push_str("<td>–</td>"),
+                }
+            }
+            self.html.push_str("</tr>\n");
+        }
+        let _ = writeln!(
+            self.html,
+            "</table><p class=\"note\">Error maps: mean absolute difference of the three channels, black 0 to yellow {} of 255 \
+             and more. Input times were given to the method, the others were not.</p>",
+            super::pictures::FULL_ERROR
+        );
     }
 
     pub(super) fn timings(&mut self, timings: &[TimingReport]) {

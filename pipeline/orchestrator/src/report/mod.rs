@@ -6,6 +6,7 @@
 
 mod html;
 mod pictures;
+mod plots;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -17,6 +18,7 @@ use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::Scores;
 
 pub use pictures::overlay;
+pub use plots::{Plot, PlotPoint, Series};
 
 /// Everything a report shows.
 #[derive(Debug, Clone, Default)]
@@ -27,6 +29,8 @@ pub struct ReportInput {
     pub summary: Vec<(String, String)>,
     /// Tables, in order.
     pub tables: Vec<ReportTable>,
+    /// Plots over all clips, in order.
+    pub plots: Vec<Plot>,
     /// Clips, in order.
     pub clips: Vec<ClipReport>,
     /// At most this many clips get pictures; the others are listed.
@@ -114,6 +118,7 @@ pub fn write_report(folder: &Path, input: &ReportInput) -> std::io::Result<PathB
     for table in &input.tables {
         page.table(table);
     }
+    page.plots(&input.plots);
     page.failures(&input.clips);
     for (_, section, _) in &sections {
         page.raw(section);
@@ -154,6 +159,7 @@ fn clip_section(
                     pictures::robot(clip, robot),
                 );
             }
+            section.comparison(&pictures::comparison(clip, &data.scores));
             for (method, scores) in &data.scores {
                 section.scores(method, &scores.summary);
                 section.figures(

@@ -12,6 +12,19 @@ pub(super) struct Figure {
     pub(super) bytes: Vec<u8>,
 }
 
+/// A table of pictures: the same views by every method.
+#[derive(Default)]
+pub(super) struct Comparison {
+    pub(super) columns: Vec<String>,
+    /// Label and one cell a column.
+    pub(super) rows: Vec<(String, Vec<Option<Figure>>)>,
+}
+
+/// Error, of 255, from which on error maps have their brightest colour.
+pub(super) const FULL_ERROR: u8 = 64;
+/// Methods of a comparison at most; all of them have sheets of their own below it.
+const MAX_METHODS: usize = 6;
+
 /// At most this many query times are shown per camera.
 const MAX_TIMES: usize = 4;
 /// Width of the gap between pictures of a strip, pixels.
@@ -238,6 +251,75 @@ pub(super) fn renders(clip: &Clip, scores: &Scores) -> Vec<Figure> {
     clip.cameras.iter().filter_map(sheet).collect()
 }
 
+/// Reference, prediction and error map of source and held-out cameras at an input time and at another one, where the query
+/// plan has both.
+pub(super) fn comparison(clip: &Clip, scores: &[(String, Scores)]) -> Comparison {
+    let methods: Vec<_> = scores
+        .iter()
+        .filter(|(_, scores)| !scores.renders.is_empty())
+        .take(MAX_METHODS)
+        .collect();
+    let mut comparison = Comparison {
+        columns: vec!["reference".to_owned()],
+        rows: Vec::new(),
+    };
+    if methods.is_empty() {
+        return comparison;
+    }
+    for (method, _) in &methods {
+        comparison.columns.extend([method.clone(), "error".to_owned()]);
+    }
+    // Times in the middle of the plan: at the ends the first input frame hides what time does.
+    let middle = |input: bool| {
+        let frames: Vec<u32> = (clip.query_frames.iter().copied())
+            .filter(|frame| clip.source_frames.contains(frame) == input)
+            .collect();
+        frames.get(frames.len() / 2).copied()
+    };
+    let times = [(middle(true), "input time"), (middle(false), "not an input time")];
+    let cameras = clip.cameras.iter().filter(|camera| camera.rgb.is_some());
+    for camera in cameras {
+        let group = if camera.partner.is_some() { "novel" } else { "source" };
+        for (frame, kind) in times.iter().filter_map(|(frame, kind)| Some(((*frame)?, kind))) {
+            let Some(reference) = frame_rgb(clip, camera, frame) else {
+                continue;
+            };
+            let mut cells = vec![reference.jpeg(format!("{} reference", camera.id))];
+            for (method, scores) in &methods {
+                let mut views = scores.renders.iter();
+                let view = views.find(|view| view.camera == camera.id && view.frame == frame);
+                let own = view.and_then(|view| Picture::from_rgb(view.width, view.height, &view.rgb));
+                let error = own.as_ref().and_then(|own| error_map(&reference, own));
+                cells.push(own.and_then(|own| own.jpeg(format!("{} by {method}", camera.id))));
+                cells.push(error.and_then(|error| error.png(format!("{} error of {method}", camera.id))));
+            }
+            let label = format!("{} ({group}), frame {frame}, {kind}", camera.id);
+            comparison.rows.push((label, cells));
+        }
+    }
+    comparison
+}
+
+/// Mean absolute difference of the channels as a colour ramp.
+fn error_map(reference: &Picture, render: &Picture) -> Option<Picture> {
+    (reference.rgb.len() == render.rgb.len()).then(|| {
+        let mut picture = Picture::new(reference.width, reference.height, 0);
+        let pixels = reference.rgb.chunks_exact(3).zip(render.rgb.chunks_exact(3));
+        for (out, (a, b)) in picture.rgb.chunks_exact_mut(3).zip(pixels) {
+            let sum: u32 = a.iter().zip(b).map(|(a, b)| u32::from(a.abs_diff(*b))).sum();
+            let share = (sum as f32 / 3.0 / f32::from(FULL_ERROR)).min(1.0);
+            out.copy_from_slice(&heat(share));
+        }
+        picture
+    })
+}
+
+/// Black over red to yellow.
+fn heat(x: f32) -> [u8; 3] {
+    let channel = |value: f32| (255.0 * value.clamp(0.0, 1.0)) as u8;
+    [channel(2.0 * x), channel(2.0 * x - 1.0), 0]
+}
+
 /// At most [`MAX_TIMES`] of the frames, evenly spread, first and last included.
 fn spread(frames: &[u32]) -> Vec<u32> {
     if frames.len() <= MAX_TIMES {
@@ -333,6 +415,17 @@ mod tests {
         let pixels = outline(&map, width, height);
         assert_eq!(pixels.len(), 12, "a 4 x 4 square has 12 border pixels");
         assert!(!pixels.contains(&(2 * width + 3)));
+    }
+
+    #[test]
+    fn error_maps_grow_with_the_error() {
+        let grey = |value| Picture::new(2, 1, value);
+        let colour = |error: u8| error_map(&grey(100), &grey(100 + error)).unwrap().rgb[..3].to_vec();
+        assert_eq!(colour(0), [0, 0, 0]);
+        assert_eq!(colour(FULL_ERROR / 2), [255, 0, 0]);
+        assert_eq!(colour(FULL_ERROR), [255, 255, 0]);
+        assert_eq!(colour(150), [255, 255, 0]);
+        assert!(error_map(&grey(0), &Picture::new(3, 1, 0)).is_none());
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use rogs_schemas::records::scores::ScoreSheet;
 
 use crate::cohort::CohortCounts;
-use crate::summary::{Metric, SheetSet, summarise, summarise_with_interval};
+use crate::summary::{Metric, OUTSIDE_SCALED, SheetSet, summarise, summarise_with_interval};
 use crate::tables::layout::{Layout, RowKey, Source, layout};
 use crate::tables::{Cell, Column, Row, Table, TableError, TableId, fixed, published};
 use crate::timing::{ClipTiming, mean_of, peak_memory, reported_seconds};
@@ -247,6 +247,24 @@ impl<'a> Builder<'a> {
         if self.id == TableId::Scale {
             notes
                 .push("every depth image is scaled by the median ratio to its target; this diagnostic only".to_owned());
+        }
+        let scaled = |row: &Row| {
+            let settings = self.settings();
+            let mut sheets = settings
+                .iter()
+                .flat_map(|setting| self.set.sheets(setting, &row.method));
+            sheets.any(|sheet| sheet.weights.iter().any(|info| info.configuration == OUTSIDE_SCALED))
+        };
+        let scaled: BTreeSet<&str> = rows
+            .iter()
+            .filter(|row| scaled(row))
+            .map(|row| row.label.as_str())
+            .collect();
+        if !scaled.is_empty() {
+            let list = scaled.into_iter().collect::<Vec<_>>().join(", ");
+            notes.push(format!(
+                "{list}: fields brought to metres here, by one source-depth factor per camera"
+            ));
         }
         notes.extend(coverage(rows));
         notes.extend(self.sheet_notes(rows));

@@ -181,7 +181,7 @@ fn timing(set: &SheetSet<'_>, input: &TableInput<'_>, options: TableOptions) -> 
         columns,
         rows,
         footnotes: vec![
-            "means over clips without the first one of each process; model loading and world-model generation excluded"
+            "means over clips without the first one of each process, where there are others; model loading and world-model generation excluded"
                 .to_owned(),
         ],
         counted: true,
