@@ -5,6 +5,8 @@
 //! clip asks for. [`FieldQuery`] answers other times. Interventions of the paper's ablations are parameters
 //! ([`LiftParams`]).
 
+mod camera_wise;
+pub mod latents;
 mod lifting;
 mod model;
 mod params;
@@ -13,19 +15,20 @@ mod rgb;
 mod source;
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 pub use lifting::MotionOptions;
-pub use model::{Model, load_model};
-pub use params::{CrossCamera, LiftParams, QueryState, RobotMotion};
+pub use model::{COMPACT_WEIGHTS, Model, load_model};
+pub use params::{CrossCamera, LiftParams, QueryState, RobotMotion, TokenSource};
 pub use query::FieldQuery;
 use rogs_networks::Error;
+use rogs_networks::parameters::Parameters;
 use rogs_networks::stage1::Encoded;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::record::{Record, SchemaId};
 use rogs_schemas::records::clip::{Clip, time_of_frame};
 use rogs_schemas::records::conditioning::Conditioning;
-use rogs_schemas::records::field::{Field, TimeSlice};
+use rogs_schemas::records::field::{Field, NamedArray, TimeSlice};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_worker::{Context, Stage, StageError, StageResult};
 pub use source::RobotAtTime;
@@ -37,6 +40,8 @@ use crate::source::Source;
 pub struct Lift {
     params: LiftParams,
     model: Model,
+    /// Weights of the latent adapter.
+    adapter: Option<Parameters>,
 }
 
 impl Stage for Lift {
@@ -57,15 +62,27 @@ impl Stage for Lift {
             input("robot", RobotMaps::SCHEMA.name, true),
             input("conditioning", Conditioning::SCHEMA.name, true),
             input("weights", "file", false),
+            input("latents", "file", false),
+            input("adapter", "file", false),
         ]
     }
 
     fn load(params: &LiftParams, inputs: &BTreeMap<String, PathBuf>) -> StageResult<Self> {
         params.validate()?;
         let weights = inputs.get("weights").map(PathBuf::as_path);
+        let mut model = load_model(params, weights)?;
+        let adapter = match inputs.get("adapter") {
+            Some(path) => {
+                let file = path.file_name().unwrap_or_default().to_string_lossy();
+                model.info.description = format!("{}; latent adapter {file}", model.info.description);
+                Some(latents::open_adapter(path, model.network.parameters.device())?)
+            }
+            None => None,
+        };
         Ok(Self {
             params: params.clone(),
-            model: load_model(params, weights)?,
+            model,
+            adapter,
         })
     }
 
@@ -79,20 +96,20 @@ impl Stage for Lift {
         let clip: Clip = context.read("clip")?;
         let robot: RobotMaps = context.read("robot")?;
         let conditioning: Conditioning = context.read("conditioning")?;
+        let latents = context.optional_input("latents").map(PathBuf::from);
         let mut warnings = Vec::new();
         let mut phase = |name: &str, fraction: f64, work: Work<'_>| {
             context.progress(fraction, name);
             context.timed(name, |_| work());
         };
-        let field = lift_clip(
-            &self.model,
-            &self.params,
-            &clip,
-            &robot,
-            &conditioning,
-            &mut phase,
-            &mut warnings,
-        )?;
+        let inputs = ClipInputs {
+            clip: &clip,
+            robot: &robot,
+            conditioning: &conditioning,
+            latents: latents.as_deref(),
+            adapter: self.adapter.as_ref(),
+        };
+        let field = lift_inputs(&self.model, &self.params, inputs, &mut phase, &mut warnings)?;
         warnings.into_iter().for_each(|warning| context.warn(warning));
         context.timed("write", |context| context.write(&field))
     }
@@ -101,8 +118,23 @@ impl Stage for Lift {
 /// A phase of lifting, to be run by whoever observes it.
 pub type Work<'w> = &'w mut dyn FnMut();
 
-/// Lifts one clip. `phase` is called with the name of each phase and the fraction done before it, and must run the work it
-/// is given; `warnings` collects what a person should know.
+/// What a clip is lifted from.
+#[derive(Clone, Copy)]
+pub struct ClipInputs<'a> {
+    /// The clip.
+    pub clip: &'a Clip,
+    /// Its robot maps.
+    pub robot: &'a RobotMaps,
+    /// Its conditioning maps.
+    pub conditioning: &'a Conditioning,
+    /// File of its latents, where tokens are made from latents.
+    pub latents: Option<&'a Path>,
+    /// Weights that make tokens of them ([`latents::open_adapter`]).
+    pub adapter: Option<&'a Parameters>,
+}
+
+/// Lifts one clip from its images. `phase` is called with the name of each phase and the fraction done before it, and must
+/// run the work it is given; `warnings` collects what a person should know.
 ///
 /// # Errors
 /// When the inputs do not fit each other or the network.
@@ -115,27 +147,48 @@ pub fn lift_clip(
     phase: &mut dyn FnMut(&str, f64, Work<'_>),
     warnings: &mut Vec<String>,
 ) -> StageResult<Field> {
+    let inputs = ClipInputs {
+        clip,
+        robot,
+        conditioning,
+        latents: None,
+        adapter: None,
+    };
+    lift_inputs(model, params, inputs, phase, warnings)
+}
+
+/// The same from all that a clip may come with.
+///
+/// # Errors
+/// As [`lift_clip`], and when latents or their adapter are needed and missing, or do not fit.
+pub fn lift_inputs(
+    model: &Model,
+    params: &LiftParams,
+    inputs: ClipInputs<'_>,
+    phase: &mut dyn FnMut(&str, f64, Work<'_>),
+    warnings: &mut Vec<String>,
+) -> StageResult<Field> {
     params.validate()?;
+    let ClipInputs {
+        clip,
+        robot,
+        conditioning,
+        ..
+    } = inputs;
     let mut run = Phases { phase };
     let source = Source::new(clip, robot, conditioning, params)?;
-    let network = &model.network;
-    let (frames, images) = source.frames(params, network.parameters.device());
-    let encoded = run.phase("encode", 0.0, || network.encode(&frames))?;
-    drop(frames);
-    let base = run.phase("base heads", 0.3, || {
-        lift_base(network, &encoded, &images, &source, params)
-    })?;
-    drop(images);
-    let heads = MotionHeads::load(network, source.views.len()).map_err(stage_error)?;
-    if params.fk_conditioning && !heads.has_fk_branch() {
-        warnings.push("the weights have no FK-conditioning branch: motion is the visual displacement alone".into());
-    }
-    let slices = lift_slices(&mut run, &heads, &encoded, &base, &source, params)?;
-    let keep = params.keeps_query_state(&model.info.configuration);
-    let query_state = if keep {
-        query::keep(&encoded).map_err(stage_error)?
+    let (base, slices, query_state) = if params.attention == CrossCamera::CameraWise {
+        let (base, slices) = camera_wise::lift(&mut run, model, params, &source)?;
+        (base, slices, Vec::new())
     } else {
-        Vec::new()
+        lift_jointly(
+            &mut run,
+            model,
+            params,
+            &source,
+            (inputs.latents, inputs.adapter),
+            warnings,
+        )?
     };
     Ok(Field {
         clip_id: clip.clip_id.clone(),
@@ -153,6 +206,48 @@ pub fn lift_clip(
         slices,
         query_state,
     })
+}
+
+/// All cameras in one pass of the network.
+fn lift_jointly(
+    run: &mut Phases<'_>,
+    model: &Model,
+    params: &LiftParams,
+    source: &Source<'_>,
+    (latents, adapter): (Option<&Path>, Option<&Parameters>),
+    warnings: &mut Vec<String>,
+) -> StageResult<(Base, Vec<TimeSlice>, Vec<NamedArray>)> {
+    let network = &model.network;
+    let (frames, images) = source.frames(params, network.parameters.device());
+    let encoded = match params.tokens {
+        TokenSource::Rgb => run.phase("encode", 0.0, || network.encode(&frames))?,
+        TokenSource::Latents => {
+            let missing = |what: &str| {
+                StageError::bad_input(format!("`tokens = \"latents\"` needs the input `{what}`"))
+                    .with_hint("name a file for it, or set `tokens` to \"rgb\"")
+            };
+            let path = latents.ok_or_else(|| missing("latents"))?;
+            let adapter = adapter.ok_or_else(|| missing("adapter"))?;
+            let tokens = latents::tokens(path, adapter, network, source, params)?;
+            run.phase("encode", 0.0, || network.encode_tokens(&frames, tokens))?
+        }
+    };
+    drop(frames);
+    let base = run.phase("base heads", 0.3, || {
+        lift_base(network, &encoded, &images, source, params)
+    })?;
+    drop(images);
+    let heads = MotionHeads::load(network, source.views.len()).map_err(stage_error)?;
+    if params.fk_conditioning && !heads.has_fk_branch() {
+        warnings.push("the weights have no FK-conditioning branch: motion is the visual displacement alone".into());
+    }
+    let slices = lift_slices(run, &heads, &encoded, &base, source, params)?;
+    let query_state = if params.keeps_query_state(&model.info.configuration) {
+        query::keep(&encoded).map_err(stage_error)?
+    } else {
+        Vec::new()
+    };
+    Ok((base, slices, query_state))
 }
 
 /// The field at every time that the clip asks for.

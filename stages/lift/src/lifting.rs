@@ -25,6 +25,17 @@ pub(crate) struct Base {
     pub(crate) scale_cap_iu: Vec<f32>,
 }
 
+impl Base {
+    /// Adds the Gaussians of further views.
+    pub(crate) fn append(&mut self, other: Self) {
+        self.position_m.extend(other.position_m);
+        self.raw.extend(other.raw);
+        self.support.extend(other.support);
+        self.link.extend(other.link);
+        self.scale_cap_iu.extend(other.scale_cap_iu);
+    }
+}
+
 /// Depth and base attributes of every view. `images [S, 3, H, W]`
 pub(crate) fn lift_base(
     network: &Stage1,
@@ -271,7 +282,7 @@ fn move_with_links(displacement_iu: &mut [f32], robot: &RobotAtTime, links: &[u8
 }
 
 /// Hamilton product a b of quaternions (w, x, y, z).
-fn quaternion_product(a: [f32; 4], b: [f32; 4]) -> [f32; 4] {
+pub(crate) fn quaternion_product(a: [f32; 4], b: [f32; 4]) -> [f32; 4] {
     let [aw, ax, ay, az] = a;
     let [bw, bx, by, bz] = b;
     [

@@ -11,6 +11,10 @@ use rogs_worker::{StageError, StageResult};
 use crate::params::LiftParams;
 use crate::stage_error;
 
+/// The checkpoint that comes with the program: the `compact` network in bfloat16, trained on procedural clips only. Its
+/// model card is `stages/lift/weights/README.md`.
+pub static COMPACT_WEIGHTS: &[u8] = include_bytes!("../weights/compact-stage1.safetensors");
+
 /// A network and what is known about its weights.
 pub struct Model {
     /// The network.

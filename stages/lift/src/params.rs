@@ -34,6 +34,29 @@ pub struct LiftParams {
     pub source_frames: Option<Vec<u32>>,
     /// Whether the field keeps what is needed to be asked at other times.
     pub query_state: QueryState,
+    /// What patch tokens are made from.
+    #[serde(skip_serializing_if = "TokenSource::is_rgb")]
+    pub tokens: TokenSource,
+    /// Pixels per latent that the latents must have (8 or 16); null for what their file says.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub latent_stride: Option<u32>,
+}
+
+/// What patch tokens are made from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum TokenSource {
+    /// The source images.
+    Rgb,
+    /// Latents of a video tokenizer (input `latents`) through the adapter (input `adapter`). Decoded images are still
+    /// needed for the colour shortcut.
+    Latents,
+}
+
+impl TokenSource {
+    fn is_rgb(&self) -> bool {
+        *self == Self::Rgb
+    }
 }
 
 /// What a token of a global block sees.
@@ -44,6 +67,9 @@ pub enum CrossCamera {
     Joint,
     /// Tokens of its own camera; the cameras' fields are merged by calibration.
     WithinCamera,
+    /// Every camera is lifted by itself, in a frame and unit of its own with one scale from its stereo depth, and the
+    /// cameras' fields are merged by calibration: the camera-wise baseline. Without anchoring and FK conditioning.
+    CameraWise,
 }
 
 /// Where the motion of robot pixels comes from.
@@ -83,6 +109,8 @@ impl Default for LiftParams {
             rgb_downsample: 1,
             source_frames: None,
             query_state: QueryState::Auto,
+            tokens: TokenSource::Rgb,
+            latent_stride: None,
         }
     }
 }
@@ -117,6 +145,20 @@ impl LiftParams {
                 "`source_frames` must name at least one frame, in ascending order",
             ));
         }
+        if self.latent_stride.is_some_and(|stride| ![8, 16].contains(&stride)) {
+            return Err(StageError::bad_params("`latent_stride` must be 8 or 16, or null"));
+        }
+        let plain = !self.anchoring
+            && !self.fk_conditioning
+            && self.robot_motion == RobotMotion::Network
+            && self.tokens == TokenSource::Rgb
+            && self.query_state != QueryState::Keep;
+        if self.attention == CrossCamera::CameraWise && !plain {
+            return Err(StageError::bad_params(
+                "`attention = \"camera-wise\"` is the baseline without robot knowledge: it needs `anchoring = false`, \
+                 `fk_conditioning = false`, `robot_motion = \"network\"`, RGB tokens, and keeps no query state",
+            ));
+        }
         Ok(())
     }
 
@@ -133,7 +175,7 @@ impl LiftParams {
     #[must_use]
     pub fn keeps_query_state(&self, configuration: &str) -> bool {
         match self.query_state {
-            QueryState::Auto => configuration != "full",
+            QueryState::Auto => configuration != "full" && self.attention != CrossCamera::CameraWise,
             QueryState::Keep => true,
             QueryState::Drop => false,
         }

@@ -16,6 +16,7 @@ use crate::params::{CrossCamera, LiftParams};
 use crate::rgb;
 
 /// One source view with everything that belongs to it.
+#[derive(Clone)]
 pub(crate) struct View<'a> {
     pub(crate) view: SourceView,
     /// Index among the views of the conditioning record.
@@ -103,7 +104,7 @@ impl<'a> Source<'a> {
         }
         let images = from_host(images, [self.views.len(), 3, height, width], device);
         let attention = match params.attention {
-            CrossCamera::Joint => Attention::Joint,
+            CrossCamera::Joint | CrossCamera::CameraWise => Attention::Joint,
             CrossCamera::WithinCamera => {
                 Attention::WithinCamera(self.views.iter().map(|view| view.view.camera).collect())
             }

@@ -2,6 +2,7 @@
 
 use rogs_lift::{CrossCamera, FieldQuery, LiftParams, Model, MotionOptions, RobotMotion, lift_clip, load_model};
 use rogs_schemas::pose::{Intrinsics, RigidPose};
+use rogs_schemas::records::clip::DepthReference;
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::field::{Field, GATE_ATTRIBUTES, RAW_CHANNELS};
@@ -427,4 +428,113 @@ fn inputs_that_do_not_belong_together_are_named() {
     assert!(unknown.is_err_and(|error| error.message.contains("huge")));
     let weights = std::path::Path::new("/nonexistent/weights.safetensors");
     assert!(load_model(&params, Some(weights)).is_err_and(|error| error.message.contains("nonexistent")));
+}
+
+/// Stereo depth of both cameras, and how much larger than usual the scene is.
+fn with_depth(larger: f64) -> Inputs {
+    let mut inputs = inputs();
+    for (index, camera) in inputs.clip.cameras.iter_mut().enumerate() {
+        let depth_m = (0..FRAMES * AREA)
+            .map(|k| {
+                if k % 5 == 0 {
+                    f32::NAN
+                } else {
+                    (larger * (0.6 + 0.1 * index as f64 + 0.001 * (k % 40) as f64)) as f32
+                }
+            })
+            .collect();
+        camera.depth = Some(DepthReference {
+            depth_m,
+            range_m: [0.1, 5.0],
+        });
+    }
+    for pose in &mut inputs.robot.base_from_camera {
+        pose.translation = pose.translation.map(|value| value * larger);
+    }
+    inputs
+}
+
+fn camera_wise() -> LiftParams {
+    LiftParams {
+        attention: CrossCamera::CameraWise,
+        anchoring: false,
+        fk_conditioning: false,
+        ..LiftParams::default()
+    }
+}
+
+#[test]
+fn camera_wise_fields_take_their_size_from_stereo_and_do_not_see_each_other() {
+    let (model, params) = (moving_model(), camera_wise());
+    let field = lift_with(&model, &params, &with_depth(1.0));
+    assert_eq!((field.len(), field.query_state.len()), (4 * AREA, 0));
+    assert!(field.support.iter().all(|&support| support == 0));
+    assert!(field.slices[2].displacement_m.iter().any(|&d| d != 0.0));
+    // Everything twice as large: the network sees the same, the field is twice as large.
+    let twice = lift_with(&model, &params, &with_depth(2.0));
+    let doubled = |a: &[f32], b: &[f32]| {
+        a.iter()
+            .zip(b)
+            .all(|(a, b)| (2.0 * a - b).abs() <= 1e-4 * (1.0 + b.abs()))
+    };
+    assert!(doubled(&field.position_m, &twice.position_m));
+    assert!(doubled(
+        &field.slices[2].displacement_m,
+        &twice.slices[2].displacement_m
+    ));
+    let activated = |raw: &f32| 0.001 * (1.0 + f64::from(*raw).exp()).ln();
+    for (a, b) in field
+        .base_raw
+        .chunks_exact(RAW_CHANNELS)
+        .zip(twice.base_raw.chunks_exact(RAW_CHANNELS))
+    {
+        assert_eq!(a[..3], b[..3], "colours stay");
+        for axis in 3..6 {
+            assert!((2.0 * activated(&a[axis]) / activated(&b[axis]) - 1.0).abs() < 1e-3);
+        }
+    }
+    // Another picture of the second camera changes nothing of the first.
+    let mut other = with_depth(1.0);
+    other.clip.cameras[1]
+        .rgb
+        .as_mut()
+        .unwrap()
+        .iter_mut()
+        .for_each(|value| *value = 255 - *value);
+    let changed = lift_with(&model, &params, &other);
+    let first = 2 * AREA * 3;
+    assert_eq!(field.position_m[..first], changed.position_m[..first]);
+    assert_ne!(field.position_m[first..], changed.position_m[first..]);
+}
+
+#[test]
+fn camera_wise_lifting_says_what_it_lacks() {
+    let model = model(&LiftParams::default());
+    let run = |params: &LiftParams, inputs: &Inputs| {
+        let phase = &mut |_: &str, _: f64, work: rogs_lift::Work<'_>| work();
+        lift_clip(
+            &model,
+            params,
+            &inputs.clip,
+            &inputs.robot,
+            &inputs.conditioning,
+            phase,
+            &mut Vec::new(),
+        )
+        .unwrap_err()
+    };
+    let error = run(&camera_wise(), &inputs());
+    assert!(
+        error.message.contains("stereo depth of camera `wrist`"),
+        "{}",
+        error.message
+    );
+    let mut blind = with_depth(1.0);
+    blind.clip.cameras[1].depth.as_mut().unwrap().depth_m.fill(f32::NAN);
+    assert!(run(&camera_wise(), &blind).message.contains("`ext1`"));
+    let anchored = LiftParams {
+        anchoring: true,
+        ..camera_wise()
+    };
+    assert!(run(&anchored, &with_depth(1.0)).message.contains("anchoring = false"));
 }

@@ -12,9 +12,8 @@ mod support;
 use std::path::Path;
 
 use burn::tensor::Device;
-use rogs_networks::stage2::objective::ObjectiveWeights;
 use rogs_networks::stage2::{Refiner, RefinerConfig, seeded_parameters};
-use rogs_refine::training::{AdamW, training_step};
+use rogs_refine::training::{AdamW, TrainingOptions, training_step};
 use rogs_refine::{LoadedRefiner, RefineParams, refine};
 use rogs_schemas::records::field::WeightsInfo;
 use rogs_schemas::records::refinement::Refinement;
@@ -42,10 +41,7 @@ fn main() -> Result<(), Failure> {
         keep_intermediate: true,
         ..RefineParams::default()
     };
-    let weights = ObjectiveWeights {
-        coverage: 0.059,
-        ..ObjectiveWeights::default()
-    };
+    let options = TrainingOptions::default();
     let mut optimiser = AdamW::default();
     for step in 0..steps {
         // One-cycle in short: warm up over a tenth, then decay to nothing.
@@ -55,12 +51,13 @@ fn main() -> Result<(), Failure> {
         AdamW::track(&mut parameters);
         let refiner = Refiner::load(&parameters, &config)?;
         let clip = example_of(SIZES, 1000 + step);
-        let result = training_step(clip.inputs(), &refiner, &params, &weights)?;
+        let result = training_step(clip.inputs(), &refiner, &params, &options)?;
         optimiser.step(&mut parameters, &result.surrogate)?;
         if step % 10 == 0 {
             println!(
                 "step {step:4}  objective {:.4}  colour error after each update {:.4?}",
-                result.objective, result.rendering
+                result.objective,
+                result.terms.iter().map(|terms| terms.rendering).collect::<Vec<_>>()
             );
         }
     }

@@ -148,7 +148,7 @@ fn check(clip: &Clip, robot: &RobotMaps, field: &Field) -> StageResult<()> {
 }
 
 /// `a_from_c` of `a_from_b` and `b_from_c`.
-fn composed(a: &RigidPose, b: &RigidPose) -> RigidPose {
+pub(crate) fn composed(a: &RigidPose, b: &RigidPose) -> RigidPose {
     let mut rotation = [0.0; 9];
     let mut translation = a.translation;
     for row in 0..3 {
@@ -158,6 +158,20 @@ fn composed(a: &RigidPose, b: &RigidPose) -> RigidPose {
                 .sum();
         }
         translation[row] += (0..3).map(|k| a.rotation[row * 3 + k] * b.translation[k]).sum::<f64>();
+    }
+    RigidPose { rotation, translation }
+}
+
+/// `b_from_a` of `a_from_b`.
+pub(crate) fn inverse(pose: &RigidPose) -> RigidPose {
+    let (r, t) = (&pose.rotation, &pose.translation);
+    let mut rotation = [0.0; 9];
+    let mut translation = [0.0; 3];
+    for row in 0..3 {
+        for column in 0..3 {
+            rotation[row * 3 + column] = r[column * 3 + row];
+        }
+        translation[row] = -(0..3).map(|k| r[k * 3 + row] * t[k]).sum::<f64>();
     }
     RigidPose { rotation, translation }
 }

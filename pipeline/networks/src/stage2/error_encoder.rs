@@ -106,9 +106,9 @@ impl ErrorEncoder {
             self.attention.forward(&mut views)?;
             return Ok(views);
         }
-        let mut views: Vec<Plane> = views.iter().map(|view| with_size(view, padded)).collect();
+        let mut views: Vec<Plane> = views.into_iter().map(|view| with_size(view, padded)).collect();
         self.attention.forward(&mut views)?;
-        Ok(views.iter().map(|view| with_size(view, (height, width))).collect())
+        Ok(views.into_iter().map(|view| with_size(view, (height, width))).collect())
     }
 
     /// Feature difference plus projected colour error: the error features before the attention between views.
@@ -191,7 +191,16 @@ impl ErrorEncoder {
 }
 
 /// The map cut, or continued by its last row and column, at the bottom and right.
-fn with_size(map: &Plane, (height, width): (usize, usize)) -> Plane {
+fn with_size(mut map: Plane, (height, width): (usize, usize)) -> Plane {
+    if width == map.width {
+        // Rows are contiguous: nothing moves.
+        let line = width * map.channels;
+        map.data.truncate(height * line);
+        while map.data.len() < height * line {
+            map.data.extend_from_within(map.data.len() - line..);
+        }
+        return Plane { height, ..map };
+    }
     let mut out = Plane::zeros(height, width, map.channels);
     let c = map.channels;
     let copied = width.min(map.width) * c;

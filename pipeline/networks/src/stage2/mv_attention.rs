@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::kernels::{Conv, LayerNorm, Linear, Plane, ROWS_PER_PIECE, add_assign, gelu_in_place, self_attention};
+use super::kernels::{LayerNorm, Linear, Plane, ROWS_PER_PIECE, Winograd, add_assign, gelu_in_place, self_attention};
 use super::resnet::checked;
 use crate::parameters::Parameters;
 use crate::{Error, Result};
@@ -28,7 +28,7 @@ pub struct MultiViewAttention {
     /// Rows reordered in the same way.
     unfold: Linear,
     unfold_norm: LayerNorm,
-    smooth: Conv,
+    smooth: Winograd,
 }
 
 /// Intermediate results, for comparison with other implementations.
@@ -96,13 +96,11 @@ impl MultiViewAttention {
                 weight: cells_first(&unfold_norm.weight, channels),
                 bias: cells_first(&unfold_norm.bias, channels),
             },
-            smooth: Conv::new(
+            smooth: Winograd::new(
                 &get("conv.weight", &[channels, channels, 3, 3])?,
-                Some(get("conv.bias", &[channels])?),
+                get("conv.bias", &[channels])?,
                 channels,
                 channels,
-                3,
-                1,
             )?,
         })
     }
@@ -114,15 +112,12 @@ impl MultiViewAttention {
     pub fn forward(&self, views: &mut [Plane]) -> Result<()> {
         let (tokens, shape) = self.fold_views(views)?;
         let tokens = self.transform(tokens);
-        let mut low = tokens.chunks_exact(shape.0 * shape.1 * self.channels);
-        for view in views.iter_mut() {
-            // One view at a time: the unfolded map is as large as the view.
-            if let Some(tokens) = low.next() {
-                add_assign(
-                    &mut view.data,
-                    &self.smooth.forward(&self.unfold_view(tokens, shape)).data,
-                );
-            }
+        // One view at a time: the unfolded map is as large as the view.
+        let mut unfolded = Plane::zeros(shape.0 * FACTOR, shape.1 * FACTOR, self.channels);
+        let low = tokens.chunks_exact(shape.0 * shape.1 * self.channels);
+        for (view, tokens) in views.iter_mut().zip(low) {
+            self.unfold_view(tokens, shape, &mut unfolded);
+            self.smooth.add_to(&unfolded, &mut view.data);
         }
         Ok(())
     }
@@ -136,7 +131,13 @@ impl MultiViewAttention {
         let attended = self.transform(folded.clone());
         let low = attended.chunks_exact(shape.0 * shape.1 * self.channels);
         let smoothed = low
-            .map(|tokens| self.smooth.forward(&self.unfold_view(tokens, shape)))
+            .map(|tokens| {
+                let mut unfolded = Plane::zeros(shape.0 * FACTOR, shape.1 * FACTOR, self.channels);
+                self.unfold_view(tokens, shape, &mut unfolded);
+                let mut smoothed = Plane::zeros(unfolded.height, unfolded.width, self.channels);
+                self.smooth.add_to(&unfolded, &mut smoothed.data);
+                smoothed
+            })
             .collect();
         Ok(MultiViewTrace {
             folded,
@@ -199,10 +200,9 @@ impl MultiViewAttention {
         tokens
     }
 
-    /// Tokens of one view back to its pixels.
-    fn unfold_view(&self, tokens: &[f32], (rows, columns): (usize, usize)) -> Plane {
+    /// Tokens of one view back to its pixels, all of which are overwritten.
+    fn unfold_view(&self, tokens: &[f32], (_, columns): (usize, usize), out: &mut Plane) {
         let c = self.channels;
-        let mut out = Plane::zeros(rows * FACTOR, columns * FACTOR, c);
         let width = columns * FACTOR;
         let pieces = out
             .data
@@ -218,7 +218,6 @@ impl MultiViewAttention {
                 }
             }
         });
-        out
     }
 }
 

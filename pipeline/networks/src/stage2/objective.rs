@@ -56,6 +56,8 @@ pub enum ViewSide {
 pub struct RenderedView {
     /// Source or right.
     pub side: ViewSide,
+    /// Rows and columns; their product is `P`.
+    pub size: [usize; 2],
     /// Render. `[P, 3]`
     pub rgb: Tensor<2>,
     /// Observation. `[P, 3]`
@@ -66,6 +68,9 @@ pub struct RenderedView {
     pub observed_depth_m: Tensor<1>,
     /// 1 where the stereo depth is valid, else 0. `[P]`
     pub depth_valid: Tensor<1>,
+    /// 1 where something must be seen, else 0: where the stereo depth is valid, or everywhere in a view without stereo
+    /// depth. `[P]`
+    pub covered: Tensor<1>,
     /// Accumulated opacity. `[P]`
     pub alpha: Tensor<1>,
 }
@@ -153,11 +158,13 @@ pub fn update_objective(
     let relative = |view: &RenderedView| {
         (view.depth_m.clone() - view.observed_depth_m.clone()).abs() / view.observed_depth_m.clone()
     };
-    let depth = masked_mean(views.iter(), &relative).unwrap_or_else(zero);
+    let valid = |view: &RenderedView| view.depth_valid.clone();
+    let depth = masked_mean(views.iter(), &relative, &valid).unwrap_or_else(zero);
     let missing = |view: &RenderedView| (view.alpha.clone().neg() + 1.0).powi_scalar(2);
     let of_side = |side: ViewSide| views.iter().filter(move |view| view.side == side);
-    let coverage = masked_mean(of_side(ViewSide::Source), &missing).unwrap_or_else(zero);
-    let coverage_right = masked_mean(of_side(ViewSide::PairedRight), &missing).unwrap_or_else(zero);
+    let covered = |view: &RenderedView| view.covered.clone();
+    let coverage = masked_mean(of_side(ViewSide::Source), &missing, &covered).unwrap_or_else(zero);
+    let coverage_right = masked_mean(of_side(ViewSide::PairedRight), &missing, &covered).unwrap_or_else(zero);
     let robot = outcome.robot.as_ref();
     let robot = robot.map_or_else(zero, |robot| {
         absolute_difference(robot.centre_m.clone(), robot.reference_m.clone())
@@ -215,12 +222,14 @@ fn absolute_difference(a: Tensor<2>, b: Tensor<2>) -> Tensor<1> {
     (a - b).abs().sum() / count
 }
 
-/// Mean of a per-pixel value over the valid pixels of some views; `None` without views, zero without valid pixels.
+/// Mean of a per-pixel value over the pixels of some views where a mask is 1; `None` without views, zero without such
+/// pixels.
 fn masked_mean<'a>(
     views: impl Iterator<Item = &'a RenderedView>,
     value: &dyn Fn(&RenderedView) -> Tensor<1>,
+    mask: &dyn Fn(&RenderedView) -> Tensor<1>,
 ) -> Option<Tensor<1>> {
-    let (values, masks): (Vec<_>, Vec<_>) = views.map(|view| (value(view), view.depth_valid.clone())).unzip();
+    let (values, masks): (Vec<_>, Vec<_>) = views.map(|view| (value(view), mask(view))).unzip();
     if values.is_empty() {
         return None;
     }
@@ -253,20 +262,24 @@ mod tests {
     fn outcome(device: &Device) -> UpdateOutcome {
         let source = RenderedView {
             side: ViewSide::Source,
+            size: [1, 2],
             rgb: rows(&[[0.5, 0.25, 0.0], [1.0, 1.0, 1.0]], device),
             observed_rgb: rows(&[[0.25, 0.25, 0.5], [1.0, 0.5, 1.0]], device),
             depth_m: line(&[1.5, 9.0], device),
             observed_depth_m: line(&[2.0, 1.0], device),
             depth_valid: line(&[1.0, 0.0], device),
+            covered: line(&[1.0, 0.0], device),
             alpha: line(&[0.5, 0.0], device),
         };
         let right = RenderedView {
             side: ViewSide::PairedRight,
+            size: [1, 1],
             rgb: rows(&[[0.0, 0.0, 0.0]], device),
             observed_rgb: rows(&[[0.5, 0.0, 0.0]], device),
             depth_m: line(&[3.0], device),
             observed_depth_m: line(&[4.0], device),
             depth_valid: line(&[1.0], device),
+            covered: line(&[1.0], device),
             alpha: line(&[0.75], device),
         };
         UpdateOutcome {

@@ -1,5 +1,6 @@
 //! The refiner as inference runs it: host arrays in, host arrays out, one source time at a time.
 
+use super::host_updater::HostUpdater;
 use super::knn::nearest_neighbours;
 use super::observation::gather_features;
 use super::resnet::FeatureMaps;
@@ -13,6 +14,8 @@ pub struct Refiner {
     config: RefinerConfig,
     encoder: ErrorEncoder,
     updater: Updater,
+    /// The updater on slices, where the parameters are plain numbers on the CPU.
+    host: Option<HostUpdater>,
     gates: [f32; 5],
     device: burn::tensor::Device,
 }
@@ -38,8 +41,11 @@ impl Refiner {
     pub fn load(parameters: &Parameters, config: &RefinerConfig) -> Result<Self> {
         config.validate()?;
         let updater = Updater::load(parameters, config)?;
+        let plain = *parameters.device() == burn::tensor::Device::flex();
+        let host = plain.then(|| HostUpdater::load(parameters, config)).transpose()?;
         Ok(Self {
             config: config.clone(),
+            host,
             encoder: ErrorEncoder::load(parameters, config)?,
             gates: updater.gates_on_host()?,
             updater,
@@ -119,22 +125,30 @@ impl Refiner {
             return Ok(Vec::new());
         }
         let count = self.config.neighbours.min(n);
-        let neighbours = Neighbours::new(&nearest_neighbours(&positions, count), count, &self.device);
-        let rows: Vec<f32> = tokens
+        let neighbours = nearest_neighbours(&positions, count);
+        let mut rows: Vec<f32> = tokens
             .iter()
             .flat_map(|&token| &state[token as usize * s..][..s])
             .copied()
             .collect();
-        let output = self.updater.forward(
-            from_host(attributes, [n, residuals], &self.device),
-            from_host(rows, [n, s], &self.device),
-            from_host(feedback, [n, f], &self.device),
-            &neighbours,
-        );
-        let advanced = to_host(output.state)?;
+        let (advanced, residual) = match &self.host {
+            Some(host) => {
+                let residual = host.run(&attributes, &mut rows, &feedback, (&neighbours, count))?;
+                (rows, residual)
+            }
+            None => {
+                let output = self.updater.forward(
+                    from_host(attributes, [n, residuals], &self.device),
+                    from_host(rows, [n, s], &self.device),
+                    from_host(feedback, [n, f], &self.device),
+                    &Neighbours::new(&neighbours, count, &self.device),
+                );
+                (to_host(output.state)?, to_host(output.residual)?)
+            }
+        };
         for (&token, row) in tokens.iter().zip(advanced.chunks_exact(s)) {
             state[token as usize * s..][..s].copy_from_slice(row);
         }
-        to_host(output.residual)
+        Ok(residual)
     }
 }

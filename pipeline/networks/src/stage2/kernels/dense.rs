@@ -1,9 +1,9 @@
 //! Dense layers over rows of tokens.
 
-use pulp::Arch;
 use rayon::prelude::*;
 
 use super::ROWS_PER_PIECE;
+use crate::kernels::vectorised;
 use crate::{Error, Result};
 
 /// A strided view of a matrix in a slice: element `(r, c)` is `data[r * row_stride + c * column_stride]`.
@@ -69,7 +69,7 @@ pub(super) fn matrix_product(a: MatrixRef<'_>, b: MatrixRef<'_>, out: &mut [f32]
 /// A linear layer: `y = W x + b` per row.
 #[derive(Debug, Clone)]
 pub(crate) struct Linear {
-    /// `[out, in]`, as in PyTorch.
+    /// `[in, out]`: the product packs rows of outputs, which then lie side by side.
     weight: Vec<f32>,
     /// `[out]`.
     bias: Option<Vec<f32>>,
@@ -85,8 +85,14 @@ impl Linear {
                 "a linear layer {inputs} -> {outputs} has other weight sizes"
             )));
         }
+        let mut transposed = vec![0.0; weight.len()];
+        for (output, row) in weight.chunks_exact(inputs).enumerate() {
+            for (input, &value) in row.iter().enumerate() {
+                transposed[input * outputs + output] = value;
+            }
+        }
         Ok(Self {
-            weight,
+            weight: transposed,
             bias,
             inputs,
             outputs,
@@ -107,14 +113,8 @@ impl Linear {
                 row.copy_from_slice(bias);
             }
         }
-        let transposed = MatrixRef {
-            data: &self.weight,
-            rows: self.inputs,
-            columns: self.outputs,
-            row_stride: 1,
-            column_stride: self.inputs,
-        };
-        matrix_product(MatrixRef::rows(x, rows, self.inputs), transposed, out, accumulate);
+        let weight = MatrixRef::rows(&self.weight, self.inputs, self.outputs);
+        matrix_product(MatrixRef::rows(x, rows, self.inputs), weight, out, accumulate);
     }
 
     /// The layer on all rows. `[n, inputs]` to `[n, outputs]`
@@ -142,7 +142,7 @@ impl LayerNorm {
     pub(crate) fn apply(&self, x: &mut [f32]) {
         let width = self.weight.len();
         for row in x.chunks_exact_mut(width) {
-            Arch::new().dispatch(
+            vectorised(
                 #[inline(always)]
                 || {
                     let mean = sum_of(row, |value| value) / width as f32;
@@ -195,7 +195,7 @@ pub(crate) fn relu_in_place(x: &mut [f32]) {
 
 /// The exact (erf) GELU in place, on the calling thread.
 pub(crate) fn gelu_in_place(x: &mut [f32]) {
-    Arch::new().dispatch(
+    vectorised(
         #[inline(always)]
         || {
             for value in x.iter_mut() {

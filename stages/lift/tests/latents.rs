@@ -1,0 +1,299 @@
+//! Latents of a tokenizer in place of RGB tokens.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use burn::tensor::Device;
+use rogs_lift::latents::{LATENTS, open_adapter};
+use rogs_lift::{ClipInputs, LiftParams, Model, TokenSource, lift_inputs, load_model};
+use rogs_networks::checkpoint::{ElementType, KIND, TensorSource, write};
+use rogs_networks::parameters::Parameters;
+use rogs_schemas::pose::{Intrinsics, RigidPose};
+use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
+use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
+use rogs_schemas::records::field::Field;
+use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
+use rogs_worker::StageResult;
+
+/// Two by two tokens.
+const SIDE: usize = 28;
+const AREA: usize = SIDE * SIDE;
+const FRAMES: usize = 5;
+const CAMERAS: [&str; 3] = ["wrist", "ext1", "ext2"];
+
+struct Inputs {
+    clip: Clip,
+    robot: RobotMaps,
+    conditioning: Conditioning,
+}
+
+/// Three cameras, source frames 0 and 4, no robot in sight.
+fn inputs() -> Inputs {
+    let camera = |id: &str| ClipCamera {
+        id: id.into(),
+        role: CameraRole::Source,
+        partner: None,
+        intrinsics: Intrinsics {
+            fx: 30.0,
+            fy: 30.0,
+            cx: 14.0,
+            cy: 14.0,
+        },
+        mount: CameraMount::Fixed {
+            base_from_camera: RigidPose::IDENTITY,
+        },
+        rgb: Some((0..FRAMES * AREA * 3).map(|k| ((k * 31) % 251) as u8).collect()),
+        depth: None,
+    };
+    let clip = Clip {
+        clip_id: "clip".into(),
+        episode_id: "episode".into(),
+        layout: "rogs-episode".into(),
+        task: String::new(),
+        calibration_note: String::new(),
+        fps: 15.0,
+        episode_frames: (0..FRAMES as u32).collect(),
+        source_frames: vec![0, 4],
+        query_frames: vec![4],
+        anchor_frame: 0,
+        height: SIDE as u32,
+        width: SIDE as u32,
+        cameras: CAMERAS.iter().map(|id| camera(id)).collect(),
+        robot: RobotStates {
+            joint_names: vec![],
+            positions: vec![],
+            gripper: vec![0.0; FRAMES],
+        },
+        tracks: None,
+    };
+    let map = |camera: u32, frame: u32| RobotMap {
+        camera,
+        frame,
+        depth_m: vec![0.0; AREA],
+        link: vec![NO_LINK; AREA],
+        support: vec![0; AREA],
+    };
+    let robot = RobotMaps {
+        clip_id: "clip".into(),
+        link_names: vec!["base".into()],
+        base_from_link: vec![RigidPose::IDENTITY; FRAMES],
+        base_from_camera: vec![RigidPose::IDENTITY; 3 * FRAMES],
+        recon_from_base: RigidPose::IDENTITY,
+        tool_m: vec![0.0; 3 * FRAMES],
+        height: SIDE as u32,
+        width: SIDE as u32,
+        maps: (0..3)
+            .flat_map(|camera| (0..FRAMES as u32).map(move |frame| map(camera, frame)))
+            .collect(),
+    };
+    let (views, query_frames) = (clip.source_views(), clip.field_frames());
+    let view_maps = views.iter().map(|_| ViewConditioning {
+        pixels: vec![],
+        link: vec![],
+        depth_m: vec![],
+        displacement_iu: vec![],
+        available: vec![1; query_frames.len()],
+        prior: GripperPrior {
+            centre_px: [14.0, 14.0],
+            depth_m: 0.8,
+            focal_px: [30.0, 30.0],
+            sigma_m: 0.1,
+        },
+    });
+    let conditioning = Conditioning {
+        clip_id: "clip".into(),
+        height: SIDE as u32,
+        width: SIDE as u32,
+        view_maps: view_maps.collect(),
+        views,
+        query_frames,
+    };
+    Inputs {
+        clip,
+        robot,
+        conditioning,
+    }
+}
+
+fn noise(count: usize, scale: f32) -> Vec<f32> {
+    (0..count)
+        .map(|k| (((k * 7919) % 1009) as f32 / 1009.0 - 0.5) * scale)
+        .collect()
+}
+
+fn tensor(name: &str, shape: &[usize], values: Vec<f32>) -> TensorSource<'static> {
+    TensorSource {
+        name: name.into(),
+        shape: shape.to_vec(),
+        values: Box::new(move || Ok(values)),
+    }
+}
+
+/// An adapter of one block for the compact network.
+fn adapter(folder: &Path, width: usize) -> Parameters {
+    let path = folder.join("adapter.safetensors");
+    let matrix = |name: &str, shape: &[usize]| tensor(name, shape, noise(shape.iter().product(), 0.05));
+    let ones = |name: &str| tensor(name, &[width], vec![1.0; width]);
+    let zeros = |name: &str, count: usize| tensor(name, &[count], vec![0.0; count]);
+    let block = "adapter.blocks.0";
+    let tensors = vec![
+        matrix("adapter.patch_embed.proj.weight", &[width, 48, 2, 2]),
+        zeros("adapter.patch_embed.proj.bias", width),
+        ones(&format!("{block}.norm1.weight")),
+        zeros(&format!("{block}.norm1.bias"), width),
+        matrix(&format!("{block}.attn.qkv.weight"), &[3 * width, width]),
+        zeros(&format!("{block}.attn.qkv.bias"), 3 * width),
+        matrix(&format!("{block}.attn.proj.weight"), &[width, width]),
+        zeros(&format!("{block}.attn.proj.bias"), width),
+        ones(&format!("{block}.norm2.weight")),
+        zeros(&format!("{block}.norm2.bias"), width),
+        matrix(&format!("{block}.mlp.fc1.weight"), &[4 * width, width]),
+        zeros(&format!("{block}.mlp.fc1.bias"), 4 * width),
+        matrix(&format!("{block}.mlp.fc2.weight"), &[width, 4 * width]),
+        zeros(&format!("{block}.mlp.fc2.bias"), width),
+        ones("adapter.ln.weight"),
+        zeros("adapter.ln.bias", width),
+    ];
+    write(&path, &BTreeMap::new(), ElementType::F32, tensors).unwrap();
+    assert!(open_adapter(&folder.join("none.safetensors"), &Device::flex()).is_err());
+    open_adapter(&path, &Device::flex()).unwrap()
+}
+
+/// A latents file of one region per camera, 2 x 2 latents each unless changed.
+fn latents(folder: &Path, change: &dyn Fn(&mut BTreeMap<String, String>, &mut Vec<TensorSource<'static>>)) -> PathBuf {
+    let path = folder.join("latents.safetensors");
+    let pairs = [
+        (KIND, LATENTS),
+        ("episode_id", "episode"),
+        ("stride", "16"),
+        ("temporal_stride", "4"),
+        ("normalised", "true"),
+        ("layout", "per_camera"),
+    ];
+    let mut metadata = pairs.map(|(key, value)| (key.to_owned(), value.to_owned())).into();
+    let mut tensors = CAMERAS
+        .iter()
+        .map(|id| tensor(&format!("latents.{id}"), &[48, 2, 2, 2], noise(48 * 8, 2.0)))
+        .collect();
+    change(&mut metadata, &mut tensors);
+    write(&path, &metadata, ElementType::F32, tensors).unwrap();
+    path
+}
+
+fn lift(model: &Model, params: &LiftParams, path: Option<&Path>, adapter: Option<&Parameters>) -> StageResult<Field> {
+    let inputs = inputs();
+    let from = ClipInputs {
+        clip: &inputs.clip,
+        robot: &inputs.robot,
+        conditioning: &inputs.conditioning,
+        latents: path,
+        adapter,
+    };
+    lift_inputs(model, params, from, &mut |_, _, work| work(), &mut Vec::new())
+}
+
+#[test]
+fn latents_take_the_place_of_rgb_tokens_at_either_stride_and_layout() {
+    let folder = tempfile::tempdir().unwrap();
+    let params = LiftParams {
+        tokens: TokenSource::Latents,
+        ..LiftParams::default()
+    };
+    let model = load_model(&params, None).unwrap();
+    let adapter = adapter(folder.path(), model.network.config.width);
+    let path = latents(folder.path(), &|_, _| {});
+    let field = lift(&model, &params, Some(&path), Some(&adapter)).unwrap();
+    let rgb = lift(&model, &LiftParams::default(), None, None).unwrap();
+    assert_ne!(field.position_m, rgb.position_m, "depth comes from other tokens");
+    // Stride 8: four latents a token; each latent of stride 16 repeated is the same picture.
+    let doubled = |values: &[f32]| -> Vec<f32> {
+        let value = |plane: usize, row: usize, column: usize| values[plane * 4 + row / 2 * 2 + column / 2];
+        (0..48 * 2)
+            .flat_map(|plane| (0..16).map(move |cell| value(plane, cell / 4, cell % 4)))
+            .collect()
+    };
+    let finer = latents(folder.path(), &|metadata, tensors| {
+        metadata.insert("stride".into(), "8".into());
+        *tensors = CAMERAS
+            .iter()
+            .map(|id| tensor(&format!("latents.{id}"), &[48, 2, 4, 4], doubled(&noise(48 * 8, 2.0))))
+            .collect();
+    });
+    let same = lift(&model, &params, Some(&finer), Some(&adapter)).unwrap();
+    assert_eq!(field.position_m, same.position_m);
+    let asked = LiftParams {
+        latent_stride: Some(16),
+        ..params.clone()
+    };
+    let error = lift(&model, &asked, Some(&finer), Some(&adapter)).unwrap_err();
+    assert!(
+        error.message.contains("stride is 8") && error.message.contains("asks for 16"),
+        "{}",
+        error.message
+    );
+    // A composite: the first camera on top at full size (64 x 64 pixels), two of half the size below; stride 16.
+    let composite = latents(folder.path(), &|metadata, tensors| {
+        metadata.insert("layout".into(), "concat_view".into());
+        metadata.insert("content".into(), "[96, 64]".into());
+        *tensors = vec![tensor("latents", &[48, 2, 7, 5], noise(48 * 2 * 35, 2.0))];
+    });
+    assert!(lift(&model, &params, Some(&composite), Some(&adapter)).is_ok());
+    let cut = latents(folder.path(), &|metadata, tensors| {
+        metadata.insert("layout".into(), "concat_view".into());
+        metadata.insert("content".into(), "[540, 640]".into());
+        *tensors = vec![tensor("latents", &[48, 2, 34, 46], vec![0.0; 48 * 2 * 34 * 46])];
+    });
+    let error = lift(&model, &params, Some(&cut), Some(&adapter)).unwrap_err();
+    assert!(error.message.contains("borders"), "{}", error.message);
+}
+
+#[test]
+fn latents_that_do_not_fit_are_named() {
+    type Change = dyn Fn(&mut BTreeMap<String, String>, &mut Vec<TensorSource<'static>>);
+    let folder = tempfile::tempdir().unwrap();
+    let params = LiftParams {
+        tokens: TokenSource::Latents,
+        ..LiftParams::default()
+    };
+    let model = load_model(&params, None).unwrap();
+    let adapter = adapter(folder.path(), model.network.config.width);
+    let set = |key: &'static str, value: &'static str| -> Box<Change> {
+        Box::new(move |metadata, _| {
+            metadata.insert(key.into(), value.into());
+        })
+    };
+    let shape = |shape: [usize; 4]| -> Box<Change> {
+        Box::new(move |_, tensors| tensors[1] = tensor("latents.ext1", &shape, vec![0.0; shape.iter().product()]))
+    };
+    let cases: [(Box<Change>, &str); 8] = [
+        (set("episode_id", "another"), "belongs to episode `another`"),
+        (set("stride", "12"), "8 and 16"),
+        (set("layout", "mosaic"), "`mosaic`"),
+        (set(KIND, "stage1"), "rogs.kind"),
+        (shape([16, 2, 2, 2]), "[48, times, rows, columns]"),
+        (shape([48, 1, 2, 2]), "source frame 4 has no latent"),
+        (shape([48, 2, 3, 2]), "camera `ext1`"),
+        (
+            Box::new(|_, tensors| drop(tensors.remove(2))),
+            "no tensor `latents.ext2`",
+        ),
+    ];
+    for (change, expected) in cases {
+        let path = latents(folder.path(), &change);
+        let error = lift(&model, &params, Some(&path), Some(&adapter)).unwrap_err();
+        assert!(error.message.contains(expected), "{expected}: {}", error.message);
+    }
+    let path = latents(folder.path(), &|_, _| {});
+    assert!(
+        lift(&model, &params, None, Some(&adapter))
+            .unwrap_err()
+            .message
+            .contains("`latents`")
+    );
+    assert!(
+        lift(&model, &params, Some(&path), None)
+            .unwrap_err()
+            .message
+            .contains("`adapter`")
+    );
+}
