@@ -1,0 +1,37 @@
+//! Files for readers that want a path.
+#![allow(dead_code)]
+
+use std::path::{Path, PathBuf};
+
+/// A folder of this process, in memory where the system has such a place.
+pub fn folder() -> PathBuf {
+    let memory = Path::new("/dev/shm");
+    let root = if memory.is_dir() {
+        memory.to_owned()
+    } else {
+        std::env::temp_dir()
+    };
+    let folder = root.join(format!("rogs-fuzz-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder for inputs");
+    folder
+}
+
+/// The bytes as a file of the only name for its ending.
+pub fn file(ending: &str, bytes: &[u8]) -> PathBuf {
+    let path = folder().join(format!("input.{ending}"));
+    std::fs::write(&path, bytes).expect("an input can be written");
+    path
+}
+
+/// Reads a container as every record there is.
+pub fn records(path: &Path) {
+    use rogs_schemas::read_record;
+    use rogs_schemas::records::{clip, conditioning, field, refinement, robot, scores};
+
+    let _ = read_record::<clip::Clip>(path);
+    let _ = read_record::<robot::RobotMaps>(path);
+    let _ = read_record::<conditioning::Conditioning>(path);
+    let _ = read_record::<field::Field>(path);
+    let _ = read_record::<refinement::Refinement>(path);
+    let _ = read_record::<scores::Scores>(path);
+}

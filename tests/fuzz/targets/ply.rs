@@ -1,0 +1,11 @@
+//! Gaussian PLY files.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use rogs_splat::read_ply;
+
+fuzz_target!(|bytes: &[u8]| {
+    if let Err(error) = read_ply(bytes) {
+        assert!(!error.to_string().is_empty());
+    }
+});
