@@ -111,6 +111,11 @@ impl<'a> TimedField<'a> {
         }
     }
 
+    /// Base-to-reconstruction of the clip, metres.
+    pub(crate) fn recon_from_base(&self) -> &'a RigidPose {
+        &self.field.recon_from_base
+    }
+
     fn slice(&self, time: f64) -> Result<&'a TimeSlice> {
         self.field.slice_at(time).ok_or_else(|| {
             let times: Vec<String> = self.field.slices.iter().map(|s| s.time.to_string()).collect();

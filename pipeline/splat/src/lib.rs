@@ -49,6 +49,7 @@ pub mod contributions;
 pub mod error;
 pub mod field;
 pub mod gaussians;
+mod moved;
 mod order;
 pub mod ply;
 mod project;
@@ -68,6 +69,6 @@ pub use contributions::{
 pub use error::{Result, SplatError};
 pub use field::{TimedField, field_camera};
 pub use gaussians::{Colour, Gaussians};
-pub use ply::{PlyScene, export_field, read_ply, read_ply_file, write_ply};
+pub use ply::{Axes, PlyScene, export_field, export_field_in, read_ply, read_ply_file, write_ply};
 pub use render::{Counts, Render, render, render_views};
 pub use simd::SimdLevel;

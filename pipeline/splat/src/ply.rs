@@ -9,6 +9,7 @@ use std::collections::HashMap;
 use std::io::{BufWriter, Read, Write};
 use std::path::Path;
 
+use rogs_schemas::RigidPose;
 use rogs_schemas::units::UNITS_PER_METRE;
 
 use crate::error::{Result, SplatError};
@@ -357,14 +358,49 @@ fn header(vertices: usize, rest: usize, comments: &[String]) -> String {
     text + "end_header\n"
 }
 
+/// The frame that a field is written in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Axes {
+    /// The reconstruction frame: OpenCV axes of the first source camera (x right, y down, z forward).
+    #[default]
+    Recon,
+    /// The robot's base frame (z up for the robots we know).
+    Base,
+}
+
 /// Writes a field at a stored time: metres, reconstruction frame (OpenCV axes of the first source camera), one row per
 /// Gaussian in the field's order. The file appears under its name only when it is complete.
 ///
 /// # Errors
 /// When the time is not stored or the file cannot be written.
 pub fn export_field(field: &TimedField<'_>, time: f64, path: &Path) -> Result<()> {
-    let gaussians = field.gaussians(time)?;
-    let comments = ["frame recon_opencv unit m".to_owned(), format!("time {time}")];
+    export_field_in(field, time, Axes::Recon, path)
+}
+
+/// As [`export_field`], in the frame asked for: means, orientations and harmonics are turned into it, and a comment of the
+/// file names it.
+///
+/// # Errors
+/// As [`export_field`].
+pub fn export_field_in(field: &TimedField<'_>, time: f64, axes: Axes, path: &Path) -> Result<()> {
+    let mut gaussians = field.gaussians(time)?;
+    let frame = match axes {
+        Axes::Recon => "recon_opencv",
+        Axes::Base => {
+            let RigidPose {
+                rotation: r,
+                translation,
+            } = field.recon_from_base();
+            let back = [r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]];
+            let shift = std::array::from_fn(|k| {
+                let metres: f64 = (0..3).map(|i| back[3 * k + i] * translation[i]).sum();
+                -metres * UNITS_PER_METRE
+            });
+            gaussians = gaussians.moved(&back, &shift);
+            "base"
+        }
+    };
+    let comments = [format!("frame {frame} unit m"), format!("time {time}")];
     let io = |action| {
         move |source| SplatError::Io {
             action,

@@ -278,7 +278,7 @@ impl WithSimd for ProjectChunk<'_> {
                 let (bins, entries) = (&mut bins[view], &mut entries[view]);
                 for lane in 0..count {
                     let gaussian = first + start + lane;
-                    if out.valid[lane] == 0 || !tail_is_finite(gaussians, gaussian) {
+                    if out.valid[lane] == 0 || !tail_is_usable(gaussians, gaussian) {
                         bins.invalid += 1;
                         continue;
                     }
@@ -335,10 +335,14 @@ impl ChunkBins {
     }
 }
 
+/// Largest size of colours, coefficients and extra channels: sums of any number of them with weights that add up to at most
+/// one, and of harmonics, stay in the range of f32.
+const MAX_CHANNEL: f32 = 1e30;
+
 /// Colour and extra channels are only needed of visible Gaussians, but a bad value makes the Gaussian invalid anywhere.
 #[inline(always)]
-fn tail_is_finite(gaussians: &Gaussians, index: usize) -> bool {
-    let zero = |values: &[f32]| values.iter().fold(0.0_f32, |sum, v| sum + v * 0.0);
+fn tail_is_usable(gaussians: &Gaussians, index: usize) -> bool {
+    let usable = |values: &[f32]| values.iter().fold(true, |all, v| all & (v.abs() <= MAX_CHANNEL));
     let extra = gaussians.extra_channels;
     let harmonics = match &gaussians.colour {
         Colour::Rgb(_) => &[],
@@ -347,7 +351,7 @@ fn tail_is_finite(gaussians: &Gaussians, index: usize) -> bool {
             &coefficients[index * per..(index + 1) * per]
         }
     };
-    zero(harmonics) == 0.0 && zero(&gaussians.extra[index * extra..(index + 1) * extra]) == 0.0
+    usable(harmonics) && usable(&gaussians.extra[index * extra..(index + 1) * extra])
 }
 
 /// Adds the tiles that a Gaussian reaches: those of its bounding box whose nearest point lies inside the level set.
@@ -449,9 +453,11 @@ impl Block {
             let s = [self.scale[0][l], self.scale[1][l], self.scale[2][l]];
             let o = self.opacity[l];
             let norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
-            let rgb = self.rgb[0][l] + self.rgb[1][l] + self.rgb[2][l];
-            let zero = m[0] * 0.0 + m[1] * 0.0 + m[2] * 0.0 + (s[0] + s[1] + s[2] + o + norm2) * 0.0 + rgb * 0.0;
-            let valid = (zero == 0.0) & (norm2 > 1e-20) & (s[0] >= 0.0) & (s[1] >= 0.0) & (s[2] >= 0.0) & (o >= 0.0);
+            let rgb = [self.rgb[0][l], self.rgb[1][l], self.rgb[2][l]].map(f32::abs);
+            let colour = (rgb[0] <= MAX_CHANNEL) & (rgb[1] <= MAX_CHANNEL) & (rgb[2] <= MAX_CHANNEL);
+            let zero = m[0] * 0.0 + m[1] * 0.0 + m[2] * 0.0 + (s[0] + s[1] + s[2] + o + norm2) * 0.0;
+            let shape = (zero == 0.0) & (norm2 > 1e-20) & (s[0] >= 0.0) & (s[1] >= 0.0) & (s[2] >= 0.0);
+            let valid = shape & (o >= 0.0) & colour;
             self.valid[l] = u32::from(valid);
             let inv_norm = 1.0 / norm2.max(1e-30).sqrt();
             let rotation = rotation([q[0] * inv_norm, q[1] * inv_norm, q[2] * inv_norm, q[3] * inv_norm]);

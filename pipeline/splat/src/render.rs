@@ -41,7 +41,7 @@ pub struct Counts {
     /// Gaussians that reach the image.
     pub visible: usize,
     /// Gaussians dropped because a value is not a finite number, a scale or opacity is negative, the quaternion is
-    /// zero, or the projection left the range of f32.
+    /// zero, a colour or extra channel is beyond 1e30, or the projection left the range of f32.
     pub invalid: usize,
     /// Pairs of a Gaussian and a tile that it reaches.
     pub tile_entries: usize,

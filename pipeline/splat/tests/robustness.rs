@@ -8,8 +8,8 @@ mod common {
 use common::{random, room};
 use proptest::prelude::*;
 use rogs_splat::{
-    Camera, Colour, Eligible, Gaussians, Gradients, RasterConfig, Render, RenderGradient, backward, render,
-    render_with_contributions, render_with_tape,
+    Camera, Colour, Eligible, Gaussians, Gradients, Mode, RasterConfig, Render, RenderGradient, SimdLevel, backward,
+    render, render_with_contributions, render_with_tape,
 };
 
 fn finite(render: &Render) -> bool {
@@ -151,7 +151,7 @@ fn extreme_but_finite_scenes_stay_finite() {
     for config in [
         RasterConfig::default(),
         RasterConfig {
-            mode: rogs_splat::Mode::Antialiased,
+            mode: Mode::Antialiased,
             eps2d: 0.0,
             near: 1e-6,
             far: 1e30,
@@ -160,6 +160,59 @@ fn extreme_but_finite_scenes_stay_finite() {
     ] {
         exercise(&scene, &identity, &config);
     }
+}
+
+/// Sums of colours that are numbers may not be: such colours are left out too.
+#[test]
+fn colours_whose_sums_would_leave_the_range_are_dropped_and_counted() {
+    for (degree, channels) in [(None, 0), (Some(0), 0), (Some(3), 0), (None, 3)] {
+        let mut scene = random::scene(200, 5, degree, channels);
+        let huge = |values: &mut [f32]| values.iter_mut().for_each(|v| *v = 3e38);
+        if channels > 0 {
+            huge(&mut scene.extra[..channels * 100]);
+        } else {
+            match &mut scene.colour {
+                Colour::Rgb(values)
+                | Colour::Sh {
+                    coefficients: values, ..
+                } => {
+                    let half = values.len() / 2;
+                    huge(&mut values[..half]);
+                }
+            }
+        }
+        let image = exercise(&scene, &random::camera(40, 30), &RasterConfig::default());
+        assert_eq!(image.counts.invalid, 100);
+    }
+}
+
+/// Gaussians on and around the camera plane, with the near plane as close as it can be.
+#[test]
+fn gaussians_on_the_camera_plane_are_not_drawn() {
+    let camera = Camera {
+        rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        translation: [0.0; 3],
+        ..random::camera(20, 20)
+    };
+    let config = RasterConfig {
+        near: f32::MIN_POSITIVE,
+        ..RasterConfig::default()
+    };
+    let depths = [0.0, -0.0, 1e-45, -1e-45, 1e-40, 1e-37, 1e-30, 1e-12, -1e-12];
+    let n = depths.len();
+    let scene = Gaussians {
+        means: depths.iter().flat_map(|&z| [0.0, 0.0, z]).collect(),
+        quats: [1.0, 0.0, 0.0, 0.0].repeat(n),
+        scales: vec![0.1; 3 * n],
+        opacities: vec![0.9; n],
+        colour: Colour::Rgb(vec![0.5; 3 * n]),
+        extra: Vec::new(),
+        extra_channels: 0,
+    };
+    let image = exercise(&scene, &camera, &config);
+    let (hidden, counts) = (render(&scene, &camera, &RasterConfig::default()).unwrap(), image.counts);
+    assert!(counts.visible + counts.invalid <= 4, "{counts:?}");
+    assert_eq!(hidden.counts.visible, 0);
 }
 
 #[test]
@@ -282,6 +335,11 @@ fn senseless_calls_are_errors() {
     assert!(backward(&short, &config, &tape, &RenderGradient::default()).is_err());
 }
 
+/// Any f64 bit pattern, ordinary numbers more often.
+fn wide_number() -> impl Strategy<Value = f64> {
+    prop_oneof![6 => -4.0_f64..4.0, 3 => 1.0_f64..100.0, 1 => any::<u64>().prop_map(f64::from_bits)]
+}
+
 /// Any f32 bit pattern, ordinary numbers more often.
 fn number() -> impl Strategy<Value = f32> {
     prop_oneof![3 => -4.0_f32..4.0, 1 => any::<u32>().prop_map(f32::from_bits)]
@@ -290,26 +348,69 @@ fn number() -> impl Strategy<Value = f32> {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(200) })]
 
+    /// Whatever the bits are, and on every instruction set the same: comparisons with numbers that are none must not
+    /// depend on the vector instructions.
     #[test]
     fn arbitrary_gaussians_never_panic_nor_poison_the_image(
-        values in proptest::collection::vec(number(), 15 * 12),
+        values in proptest::collection::vec(number(), 12 * 12),
+        colours in proptest::collection::vec(number(), 48 * 12),
         size in (1_u32..40, 1_u32..40),
-        harmonics in any::<bool>(),
+        degree in proptest::option::of(0_usize..4),
+        antialiased in any::<bool>(),
+        tile_size in prop_oneof![Just(4_u32), Just(8), Just(16)],
     ) {
         let n = 12;
         let take = |from: usize, per: usize| values[from * n..(from + per) * n].to_vec();
+        let colours = colours[..n * degree.map_or(3, |d| 3 * (d + 1) * (d + 1))].to_vec();
         let scene = Gaussians {
             means: take(0, 3),
             quats: take(3, 4),
             scales: take(7, 3).iter().map(|s| s.abs()).collect(),
             opacities: take(10, 1).iter().map(|o| o.abs() / 4.0).collect(),
-            colour: if harmonics { Colour::Sh { degree: 0, coefficients: take(11, 3) } } else { Colour::Rgb(take(11, 3)) },
-            extra: take(14, 1),
+            colour: match degree {
+                Some(degree) => Colour::Sh { degree, coefficients: colours },
+                None => Colour::Rgb(colours),
+            },
+            extra: take(11, 1),
             extra_channels: 1,
         };
-        // Huge colours are numbers too, but their sums may leave the range of f32; keep those out.
-        prop_assume!(scene.colour.values().iter().chain(&scene.extra).all(|v| !v.is_finite() || v.abs() < 1e30));
         let camera = random::camera(size.0, size.1);
-        exercise(&scene, &camera, &RasterConfig::default());
+        let config = |simd| RasterConfig {
+            mode: if antialiased { Mode::Antialiased } else { Mode::Classic },
+            tile_size,
+            simd,
+            ..RasterConfig::default()
+        };
+        let portable = exercise(&scene, &camera, &config(SimdLevel::Portable));
+        for level in SimdLevel::available() {
+            prop_assert_eq!(&exercise(&scene, &camera, &config(level)), &portable, "{:?}", level);
+        }
+    }
+
+    /// A camera is refused, or what it sees is finite.
+    #[test]
+    fn arbitrary_cameras_are_refused_or_see_numbers(
+        values in proptest::collection::vec(wide_number(), 16),
+        size in (0_u32..40, 0_u32..40),
+        seed in 0_u64..1000,
+    ) {
+        let camera = Camera {
+            width: size.0,
+            height: size.1,
+            fx: values[0],
+            fy: values[1],
+            cx: values[2],
+            cy: values[3],
+            rotation: std::array::from_fn(|k| values[4 + k]),
+            translation: std::array::from_fn(|k| values[13 + k]),
+        };
+        let scene = random::scene(30, seed, Some(1), 2);
+        match render(&scene, &camera, &RasterConfig::default()) {
+            Ok(image) => {
+                prop_assert!(finite(&image));
+                exercise(&scene, &camera, &RasterConfig::default());
+            }
+            Err(error) => prop_assert!(!error.to_string().is_empty()),
+        }
     }
 }
