@@ -1,8 +1,9 @@
-//! Reference depth: metres in `.npy`, or millimetres in 16-bit PNG.
+//! Reference depth: metres in `.npy` or OpenEXR, or millimetres in 16-bit PNG.
 
 use rogs_worker::StageResult;
 
 use crate::checks::wrong;
+use crate::exr_depth::read_exr;
 use crate::images::{numbered, read_grey16};
 use crate::npy::Npy;
 use crate::source::SourceDepth;
@@ -32,7 +33,10 @@ impl SourceDepth {
         }
         for frame in frames {
             let array = self.path.join(numbered(frame, "npy"));
-            if array.exists() {
+            let exr = self.path.join(numbered(frame, "exr"));
+            if exr.exists() {
+                take(&metres(read_exr(&exr, (width, height))?));
+            } else if array.exists() {
                 let mut array = Npy::open(&array)?;
                 array.expect_shape(&[rows, columns])?;
                 array.expect_floats()?;

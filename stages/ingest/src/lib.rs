@@ -10,6 +10,7 @@ mod assemble;
 mod calibration;
 mod checks;
 mod depth;
+mod exr_depth;
 mod images;
 mod layouts;
 mod listing;
