@@ -5,13 +5,17 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use rogs_orchestrator::ledger::{last_by_output, read_all};
-use rogs_orchestrator::plan::{Plan, Unit, read_plan};
-use rogs_orchestrator::report::{ClipReport, FailureReport, ReportInput, ReportTable, TimingReport, write_report};
+use rogs_orchestrator::plan::{From, Plan, Unit, read_plan};
+use rogs_orchestrator::report::{
+    ClipReport, FailureReport, Plot, PlotPoint, ReportInput, ReportTable, Series, TimingReport, write_report,
+};
 use rogs_orchestrator::state::OutputState;
 use rogs_orchestrator::status::status_of;
 use rogs_schemas::ledger::Attempt;
 use rogs_schemas::read_record;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
+use rogs_score::cohort::CohortCounts;
+use rogs_score::summary::{ImageMetric, Metric, clip_value};
 use rogs_score::tables::{Table, TableId, TableInput, TableOptions, table};
 use rogs_score::timing::ClipTiming;
 
@@ -53,6 +57,7 @@ impl RunResults {
                 clip.failures.push(FailureReport { stage, message, hint });
             }
         }
+        keep_some_timings(&mut results.timings);
         Ok(results)
     }
 
@@ -68,8 +73,8 @@ impl RunResults {
             clip_id: plan.clips[index].id.clone(),
             ..ClipReport::default()
         };
-        // Seconds and peak memory by node label, for the timing of methods.
-        let mut costs: BTreeMap<usize, (f64, u64)> = BTreeMap::new();
+        // Attempts by node, for the timing of methods.
+        let mut costs: BTreeMap<usize, &Attempt> = BTreeMap::new();
         for (node_index, node) in plan.nodes.iter().enumerate() {
             let output = plan.output(
                 Unit {
@@ -91,7 +96,7 @@ impl RunResults {
                         .iter()
                         .map(|warning| (node.label.clone(), warning.clone())),
                 );
-                costs.insert(node_index, (seconds, attempt.peak_rss_bytes));
+                costs.insert(node_index, attempt);
             }
             if states[node_index] != OutputState::UpToDate {
                 continue;
@@ -103,8 +108,12 @@ impl RunResults {
                 "score" => {
                     if let Ok((scores, _)) = read_record::<Scores>(&path) {
                         let sheet = scores.summary;
+                        if sheet.images.is_empty() && sheet.tracks.is_empty() {
+                            // An outside method without a prediction for the clip: it does not count there.
+                            continue;
+                        }
                         report.scores.push((sheet.method.clone(), path));
-                        self.timings.push(timing(plan, node_index, &sheet, &costs));
+                        self.timings.push(timing(plan, index, node_index, &sheet, &costs));
                         self.sheets.push(sheet);
                     } else {
                         // The page names the file that cannot be read.
@@ -118,11 +127,16 @@ impl RunResults {
     }
 
     /// One table of the paper over the clips of the run.
-    pub(crate) fn table(&self, id: TableId, options: TableOptions) -> anyhow::Result<Table> {
+    pub(crate) fn table(
+        &self,
+        id: TableId,
+        cohort: Option<&CohortCounts>,
+        options: TableOptions,
+    ) -> anyhow::Result<Table> {
         let input = TableInput {
             sheets: &self.sheets,
             timings: &self.timings,
-            cohort: None,
+            cohort,
         };
         Ok(table(id, &input, options)?)
     }
@@ -134,8 +148,15 @@ impl RunResults {
             ..TableOptions::default()
         };
         let mut tables = Vec::new();
-        for id in [TableId::Main, TableId::Additional, TableId::Robot, TableId::Ci] {
-            let table = self.table(id, options)?;
+        for id in [
+            TableId::Main,
+            TableId::Additional,
+            TableId::Robot,
+            TableId::Recurrence,
+            TableId::Ci,
+            TableId::Timing,
+        ] {
+            let table = self.table(id, None, options)?;
             if !table.rows.is_empty() {
                 tables.push(report_table(&table));
             }
@@ -164,6 +185,7 @@ impl RunResults {
             run_name: self.plan.name.clone(),
             summary,
             tables,
+            plots: plots(&self.sheets),
             clips: self.clips,
             max_picture_clips,
         };
@@ -171,30 +193,193 @@ impl RunResults {
     }
 }
 
-/// What a method's field on a clip cost: the nodes upstream of its scores.
-fn timing(plan: &Plan, score: usize, sheet: &ScoreSheet, costs: &BTreeMap<usize, (f64, u64)>) -> ClipTiming {
-    let mut timing = ClipTiming {
-        method: sheet.method.clone(),
-        setting: sheet.setting.clone(),
-        clip_id: sheet.clip_id.clone(),
-        device: "cpu".to_owned(),
-        ..ClipTiming::default()
-    };
-    timing.render_query_s = costs.get(&score).map(|(seconds, _)| *seconds);
-    let mut peak = costs.get(&score).map(|(_, bytes)| *bytes);
+/// Name of the file in an outside method's folder of a clip that says what its own steps cost.
+const TIMING_FILE: &str = "timing.json";
+/// Longest such file that is read, bytes.
+const MAX_TIMING_BYTES: u64 = 1 << 16;
+
+/// What a method's field on a clip cost: the nodes upstream of its scores, without loading weights.
+fn timing(plan: &Plan, clip: usize, score: usize, sheet: &ScoreSheet, costs: &BTreeMap<usize, &Attempt>) -> ClipTiming {
+    let phase = |node: usize, name: &str| costs.get(&node).and_then(|attempt| attempt.seconds.get(name).copied());
+    let without_loading =
+        |node: usize| Some(phase(node, "total")? - phase(node, "load").unwrap_or(0.0)).map(|seconds| seconds.max(0.0));
+    let node = &plan.nodes[score];
+    let given = node.inputs.iter().find_map(|input| match input.from {
+        From::Prediction(index) => plan.predictions.get(index as usize),
+        _ => None,
+    });
+    let mut timing = given
+        .map(|root| given_timing(&root.join(&plan.clips[clip].id).join(TIMING_FILE)))
+        .unwrap_or_default();
+    timing.method.clone_from(&sheet.method);
+    timing.setting.clone_from(&sheet.setting);
+    timing.clip_id.clone_from(&sheet.clip_id);
+    timing.render_query_s = timing.render_query_s.or(phase(score, "render_query"));
+    timing.render_displacement_s = timing.render_displacement_s.or(phase(score, "render_displacement"));
+    timing.transform_merge_s = timing.transform_merge_s.or(phase(score, "transform_merge"));
+    if given.is_some() {
+        return timing;
+    }
+    timing.device = "cpu".to_owned();
+    let mut peak = costs.get(&score).map(|attempt| attempt.peak_rss_bytes);
     for upstream in plan.upstream(score) {
-        let Some(&(seconds, bytes)) = costs.get(&upstream) else {
-            continue;
-        };
         match plan.nodes[upstream].stage.as_str() {
-            "lift" => timing.lift_s = Some(seconds),
-            "refine" => timing.refine_s = Some(seconds),
+            "lift" => timing.lift_s = without_loading(upstream),
+            // Of a field after fewer updates than were made the time is not known.
+            "refine" => {
+                let update = node.params.get("update").filter(|update| !update.is_null());
+                let all = plan.nodes[upstream].params.get("updates");
+                timing.refine_s = without_loading(upstream).filter(|_| update.is_none() || update == all);
+            }
             _ => continue,
         }
-        peak = peak.max(Some(bytes));
+        // The stage was loaded for this clip: the process had not done one with these weights before.
+        timing.warmup |= phase(upstream, "load").is_some();
+        peak = peak.max(costs.get(&upstream).map(|attempt| attempt.peak_rss_bytes));
     }
     timing.peak_rss_bytes = peak;
     timing
+}
+
+/// What an outside method says its own steps cost; nothing when it says nothing that is understood.
+fn given_timing(path: &Path) -> ClipTiming {
+    let short = std::fs::metadata(path).is_ok_and(|metadata| metadata.len() <= MAX_TIMING_BYTES);
+    let text = if short {
+        std::fs::read(path).unwrap_or_default()
+    } else {
+        Vec::new()
+    };
+    serde_json::from_slice(&text).unwrap_or_default()
+}
+
+/// A method whose every clip was the first of its process keeps them all: a slower figure says more than none.
+fn keep_some_timings(timings: &mut [ClipTiming]) {
+    let name = |timing: &ClipTiming| (timing.method.clone(), timing.setting.clone());
+    let warm: std::collections::BTreeSet<_> = timings.iter().filter(|t| !t.warmup).map(name).collect();
+    for timing in timings.iter_mut().filter(|timing| !warm.contains(&name(timing))) {
+        timing.warmup = false;
+    }
+}
+
+/// Methods that are compared, with the baseline first: those that are no variant of another.
+fn plain_methods(sheets: &[ScoreSheet]) -> Vec<&str> {
+    let names: std::collections::BTreeSet<&str> = sheets
+        .iter()
+        .map(|sheet| sheet.method.as_str())
+        .filter(|method| !method.contains('/'))
+        .collect();
+    let mut methods: Vec<&str> = names.into_iter().collect();
+    methods.sort_by_key(|method| *method != "stage1");
+    methods
+}
+
+/// Plots over the clips of a run: what refinement updates do, and each clip under every method against the baseline.
+fn plots(sheets: &[ScoreSheet]) -> Vec<Plot> {
+    let metrics = [
+        (Metric::Source(ImageMetric::Psnr), "source PSNR, dB"),
+        (Metric::Novel(ImageMetric::Psnr), "novel PSNR, dB"),
+        (Metric::Novel(ImageMetric::AbsRel), "novel AbsRel"),
+        (Metric::RobotEpe, "robot EPE, mm"),
+    ];
+    let mut plots = Vec::new();
+    for (metric, label) in metrics {
+        plots.push(recurrence_plot(sheets, metric, label));
+    }
+    let methods = plain_methods(sheets);
+    for (metric, label) in metrics {
+        plots.push(clip_plot(sheets, &methods, metric, label));
+    }
+    plots.retain(|plot| !plot.series.is_empty());
+    plots
+}
+
+/// Mean over clips after 0, 1, ... refinement updates (methods `stage1+2/rN`).
+fn recurrence_plot(sheets: &[ScoreSheet], metric: Metric, label: &str) -> Plot {
+    let mut by_update: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
+    for sheet in sheets {
+        let update = sheet
+            .method
+            .strip_prefix("stage1+2/r")
+            .and_then(|update| update.parse().ok());
+        if let (Some(update), Some(value)) = (update, clip_value(sheet, metric)) {
+            by_update.entry(update).or_default().push(value);
+        }
+    }
+    let point = |(update, values): (u32, Vec<f64>)| {
+        let mean = rogs_score::metrics::mean(&values)?;
+        Some(PlotPoint {
+            x: f64::from(update),
+            y: mean,
+            name: format!("{update} updates, {} clips", values.len()),
+        })
+    };
+    let points: Vec<PlotPoint> = by_update.into_iter().filter_map(point).collect();
+    Plot {
+        title: format!("Refinement updates: {label}"),
+        x_label: "updates".to_owned(),
+        y_label: label.to_owned(),
+        series: if points.len() > 1 {
+            vec![Series {
+                label: String::new(),
+                points,
+            }]
+        } else {
+            Vec::new()
+        },
+        lines: true,
+        diagonal: false,
+    }
+}
+
+/// Every clip: the baseline's value against that of each other method; with one method, its values in the order of clips.
+fn clip_plot(sheets: &[ScoreSheet], methods: &[&str], metric: Metric, label: &str) -> Plot {
+    let of = |method: &str| -> BTreeMap<(&str, &str), f64> {
+        let own = sheets.iter().filter(|sheet| sheet.method == method);
+        own.filter_map(|sheet| {
+            Some((
+                (sheet.setting.as_str(), sheet.clip_id.as_str()),
+                clip_value(sheet, metric)?,
+            ))
+        })
+        .collect()
+    };
+    let mut plot = Plot {
+        title: format!("Clips: {label}"),
+        y_label: label.to_owned(),
+        ..Plot::default()
+    };
+    let Some((first, others)) = methods.split_first() else {
+        return plot;
+    };
+    let base = of(first);
+    if others.is_empty() {
+        plot.x_label = "clip".to_owned();
+        let points = base.iter().zip(1u32..).map(|(((_, clip), &y), x)| PlotPoint {
+            x: f64::from(x),
+            y,
+            name: (*clip).to_owned(),
+        });
+        plot.series.push(Series {
+            label: (*first).to_owned(),
+            points: points.collect(),
+        });
+    } else {
+        plot.x_label = format!("{first}: {label}");
+        plot.diagonal = true;
+        for method in others {
+            let points = of(method).into_iter().filter_map(|(key, y)| {
+                let x = *base.get(&key)?;
+                let name = key.1.to_owned();
+                Some(PlotPoint { x, y, name })
+            });
+            plot.series.push(Series {
+                label: (*method).to_owned(),
+                points: points.collect(),
+            });
+        }
+    }
+    plot.series.retain(|series| !series.points.is_empty());
+    plot
 }
 
 /// The table as text cells.

@@ -142,7 +142,10 @@ impl Builder<'_> {
     fn add_variant(&mut self, index: usize, variant: Option<&Variant>) -> Result<()> {
         let mut made = Made::new();
         for stage in self.wanted() {
+            // The field after some updates is a row of the refined field alone.
+            let of_update = variant.is_some_and(|variant| variant.score.contains_key("update"));
             let rounds: &[(&str, bool)] = match stage {
+                "score" if of_update && made.contains_key("refine") => &[("stage1+2", true)],
                 "score" if made.contains_key("refine") => &[("stage1", false), ("stage1+2", true)],
                 "score" => &[("stage1", false)],
                 _ => &[("", false)],

@@ -58,7 +58,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         hide_empty_rows: true,
         ..TableOptions::default()
     };
-    let table = RunResults::read(&outcome.summary.run)?.table(TableId::Main, options)?;
+    let table = RunResults::read(&outcome.summary.run)?.table(TableId::Main, None, options)?;
     let code = outcome.summary.exit.code();
     if args.json {
         output::json(&DemoOutcome {

@@ -40,8 +40,7 @@ enum Command {
     Status(status::Args),
     /// Reads every output of a run folder completely and checks it against the plan.
     Verify(status::Args),
-    /// Makes the report of a run folder anew.
-    Report(status::Args),
+    Report(table::ReportArgs),
     Logs(care::LogsArgs),
     Diff(care::DiffArgs),
     Gc(care::GcArgs),
@@ -74,7 +73,7 @@ pub(crate) fn run(command_line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Gc(args) => care::run_gc(&args),
         Command::Status(args) => status::show_status(&args),
         Command::Verify(args) => status::show_verify(&args),
-        Command::Report(args) => status::make_report(&args),
+        Command::Report(args) => table::run_report(&args),
         Command::Table(args) => table::run(&args),
         Command::Query(args) => query::run(&args),
         Command::Render(args) => render::run(&args),

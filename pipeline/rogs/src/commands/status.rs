@@ -1,7 +1,7 @@
 //! `rogs status`, `rogs verify`, `rogs report`: questions to a run folder.
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use rogs_orchestrator::Exit;
@@ -81,9 +81,9 @@ pub(crate) fn show_verify(args: &Args) -> anyhow::Result<ExitCode> {
 }
 
 /// Makes the report of a run folder anew.
-pub(crate) fn make_report(args: &Args) -> anyhow::Result<ExitCode> {
-    let report = RunResults::read(&args.run)?.write()?;
-    if args.json {
+pub(crate) fn make_report(run: &Path, json: bool) -> anyhow::Result<ExitCode> {
+    let report = RunResults::read(run)?.write()?;
+    if json {
         output::json(&serde_json::json!({ "report": report }))?;
     } else {
         output::text(&format!("report: {}", report.display()))?;

@@ -1,8 +1,10 @@
-//! `rogs table`: a table of the paper over the clips of a run.
+//! `rogs table` and `rogs report --table`: a table of the paper over the clips of a run.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use anyhow::Context as _;
+use rogs_score::cohort::{CohortCounts, Selection};
 use rogs_score::tables::{TableId, TableOptions, to_csv, to_latex, to_text};
 
 use crate::output;
@@ -17,10 +19,29 @@ pub(crate) struct Args {
     /// latent, latent_resolution, cohort, inputs, timing.
     #[arg(long, default_value = "main", value_parser = table_id)]
     table: TableId,
-    /// How to print it.
+    #[command(flatten)]
+    print: Print,
+}
+
+/// Makes the report of a run folder anew; with --table, prints that table instead (the same as `rogs table`).
+#[derive(Debug, clap::Args)]
+pub(crate) struct ReportArgs {
+    /// The run folder.
+    run: PathBuf,
+    /// Print this table of the paper instead of writing the page.
+    #[arg(long, value_parser = table_id)]
+    table: Option<TableId>,
+    #[command(flatten)]
+    print: Print,
+}
+
+/// How tables are printed.
+#[derive(Debug, clap::Args)]
+struct Print {
+    /// How to print the table.
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
-    /// Print one JSON value (the same as `--format json`).
+    /// Print one JSON value (of a table the same as `--format json`).
     #[arg(long)]
     json: bool,
     /// Put the paper's published values beside ours.
@@ -29,6 +50,9 @@ pub(crate) struct Args {
     /// Give every mean its 95 % bootstrap interval over clips.
     #[arg(long)]
     intervals: bool,
+    /// The selection that `rogs cohort` wrote, for the table `cohort`.
+    #[arg(long, value_name = "FILE")]
+    selection: Option<PathBuf>,
 }
 
 /// Forms of a table.
@@ -47,17 +71,37 @@ fn table_id(name: &str) -> Result<TableId, String> {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    print(&args.run, args.table, &args.print)
+}
+
+pub(crate) fn run_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
+    match args.table {
+        Some(table) => print(&args.run, table, &args.print),
+        None => super::status::make_report(&args.run, args.print.json),
+    }
+}
+
+fn print(run: &Path, id: TableId, print: &Print) -> anyhow::Result<ExitCode> {
     let options = TableOptions {
-        published: args.published,
-        intervals: args.intervals,
-        hide_empty_rows: !args.published,
+        published: print.published,
+        intervals: print.intervals,
+        hide_empty_rows: !print.published,
     };
-    let table = RunResults::read(&args.run)?.table(args.table, options)?;
-    match if args.json { Format::Json } else { args.format } {
+    let counts = print.selection.as_deref().map(selection_counts).transpose()?;
+    let table = RunResults::read(run)?.table(id, counts.as_ref(), options)?;
+    match if print.json { Format::Json } else { print.format } {
         Format::Text => output::text(&to_text(&table))?,
         Format::Csv => output::text(&to_csv(&table))?,
         Format::Latex => output::text(&to_latex(&table))?,
         Format::Json => output::json(&table)?,
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// The counts in a `selection.json`.
+fn selection_counts(path: &Path) -> anyhow::Result<CohortCounts> {
+    let text = std::fs::read(path).with_context(|| format!("reading `{}`", path.display()))?;
+    let selection: Selection = serde_json::from_slice(&text)
+        .with_context(|| format!("`{}` is no selection of `rogs cohort`", path.display()))?;
+    Ok(selection.counts)
 }
