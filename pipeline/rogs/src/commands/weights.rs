@@ -1,15 +1,21 @@
 //! `rogs weights`: bringing network weights in, and checking them.
 
+mod catalogue;
+mod download;
+mod fetch;
+mod verify;
+
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Context as _;
 use rogs_networks::checkpoint::{ElementType, ImportRequest, TensorFile, generate_stage1, import_stage1, merge_lora};
 use rogs_networks::stage1::Stage1Config;
+use rogs_networks::stage2::{ReleasedImport, ReleasedModel, import_released};
 
 use crate::output;
 
-/// Imports, makes, lists and merges Stage-1 weights.
+/// Fetches, imports, verifies, makes, lists and merges weights.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -26,7 +32,7 @@ enum What {
         /// Where our checkpoint goes.
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
-        /// Configuration whose tensors it must have.
+        /// Configuration whose tensors it must have: of Stage 1, or `resplat-re10k` for a released Stage-2 file.
         #[arg(long, default_value = "full")]
         configuration: String,
         /// How numbers are stored.
@@ -73,6 +79,25 @@ enum What {
         #[arg(long)]
         json: bool,
     },
+    /// Checks a weights file: names, shapes, that every number is finite, and its SHA-256. Exit code 1 when something is
+    /// wrong.
+    Verify {
+        /// The file, of any format that can be imported.
+        file: PathBuf,
+        /// What it should be: a Stage-1 configuration (`full`, `compact`), a Stage-2 preset (`paper`, `cpu`, `ci`) or a released
+        /// model (`resplat-re10k`, `resplat-dl3dv`); by default what the file itself says or looks like.
+        #[arg(long)]
+        configuration: Option<String>,
+        /// SHA-256 that it must have (hexadecimal, at least the first 8 digits).
+        #[arg(long, value_name = "DIGITS")]
+        sha256: Option<String>,
+        /// Print one JSON value.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Downloads a public weights file by name, resuming where an earlier attempt broke off, and keeps it only if its
+    /// SHA-256 is right. Nothing else in this program downloads anything.
+    Fetch(fetch::Args),
 }
 
 /// Number formats of a checkpoint.
@@ -103,6 +128,19 @@ pub(crate) fn run(args: Args) -> anyhow::Result<ExitCode> {
             provenance,
             drop_unexpected,
         } => {
+            if let Ok(model) = ReleasedModel::by_name(&configuration) {
+                let request = ReleasedImport {
+                    input,
+                    output: out.clone(),
+                    model,
+                    element: numbers.into(),
+                    provenance,
+                    drop_unexpected,
+                };
+                let written = import_released(&request)?;
+                output::text(&format!("{written} tensors written to `{}`", out.display()))?;
+                return Ok(ExitCode::SUCCESS);
+            }
             let request = ImportRequest {
                 config: Stage1Config::by_name(&configuration)?,
                 element: numbers.into(),
@@ -143,6 +181,13 @@ pub(crate) fn run(args: Args) -> anyhow::Result<ExitCode> {
             output::text(&format!("merged into `{}`", out.display()))?;
         }
         What::List { file, json } => list(&file, json)?,
+        What::Verify {
+            file,
+            configuration,
+            sha256,
+            json,
+        } => return verify::run(&file, configuration.as_deref(), sha256.as_deref(), json),
+        What::Fetch(args) => return fetch::run(&args),
     }
     Ok(ExitCode::SUCCESS)
 }
