@@ -291,7 +291,7 @@ pub(super) fn comparison(clip: &Clip, scores: &[(String, Scores)]) -> Comparison
                 let own = view.and_then(|view| Picture::from_rgb(view.width, view.height, &view.rgb));
                 let error = own.as_ref().and_then(|own| error_map(&reference, own));
                 cells.push(own.and_then(|own| own.jpeg(format!("{} by {method}", camera.id))));
-                cells.push(error.and_then(|error| error.png(format!("{} error of {method}", camera.id))));
+                cells.push(error.and_then(|error| error.jpeg(format!("{} error of {method}", camera.id))));
             }
             let label = format!("{} ({group}), frame {frame}, {kind}", camera.id);
             comparison.rows.push((label, cells));
