@@ -10,8 +10,9 @@
 use std::time::Instant;
 
 use rogs_splat::{
-    Camera, Colour, Eligible, Gaussians, Gradients, RasterConfig, RenderGradient, SimdLevel, backward, backward_into,
-    backward_views, render, render_views, render_views_with_tape, render_with_contributions, render_with_tape,
+    Camera, Colour, Eligible, Gaussians, Gradients, RasterConfig, RenderGradient, SimdLevel, Tape, backward,
+    backward_into, backward_views, render, render_views, render_views_with_tape, render_with_contributions,
+    render_with_tape,
 };
 
 #[path = "../tests/common/room.rs"]
@@ -203,10 +204,12 @@ fn bench_views(scene: &Gaussians, rounds: usize) {
                 .expect("renders");
             single_both.run(|| {
                 pool.install(|| {
+                    // A loss needs all images, so all tapes are there when the backward pass begins.
+                    let tape = |camera| render_with_tape(scene, camera, &config).expect("a tape").1;
+                    let tapes: Vec<Tape> = cameras.iter().map(tape).collect();
                     let mut sum = Gradients::zeros(scene);
-                    for camera in &cameras {
-                        let (_, tape) = render_with_tape(scene, camera, &config).expect("a tape");
-                        backward_into(scene, &config, &tape, &gradient, &mut sum).expect("gradients");
+                    for tape in &tapes {
+                        backward_into(scene, &config, tape, &gradient, &mut sum).expect("gradients");
                     }
                     sum
                 })

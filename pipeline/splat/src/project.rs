@@ -199,7 +199,7 @@ pub(crate) fn project_views(gaussians: &Gaussians, views: &[View], config: &Rast
 
 /// Views that are projected together. Their records are in memory at the same time, and as many buffers are kept from
 /// one group to the next.
-pub(crate) const GROUP: usize = 4;
+const GROUP: usize = 4;
 
 /// Projects a scene into all views, group by group, and hands every projection on; results are in the order of the views.
 ///

@@ -1,8 +1,8 @@
 //! Many views of one scene: rendered with tapes, and differentiated into one set of gradients.
 //!
-//! Forward, the views of a group share the part of the projection that no camera enters. Backward, a chunk of Gaussians
-//! takes the sums of all views of a group in turn, so that its inputs and gradients are fetched once. Every Gaussian adds
-//! up its views in their order.
+//! Forward, the views of a group share the part of the projection that no camera enters. Backward, they are taken one by
+//! one, in their order: to keep the tile sums of several at once, so that a Gaussian's inputs and gradients are fetched
+//! once, costs more in fresh memory than it saves.
 
 use rayon::prelude::*;
 
@@ -10,7 +10,7 @@ use crate::backward::{Gradients, Pass, RenderGradient, Tape, TileGradient, chain
 use crate::camera::{Camera, RasterConfig};
 use crate::error::{Result, SplatError};
 use crate::gaussians::Gaussians;
-use crate::project::{CHUNK, GROUP, for_each_view};
+use crate::project::{CHUNK, for_each_view};
 use crate::render::{Render, Work, check_views};
 use crate::simd::dispatch;
 
@@ -93,25 +93,20 @@ pub(super) fn add(
     }
     check_room(gaussians, into)?;
     let mut poses = Vec::with_capacity(tapes.len());
-    for (group, (tapes, gradients)) in tapes.chunks(GROUP).zip(gradients.chunks(GROUP)).enumerate() {
-        let passes: Vec<Pass<'_>> = (tapes.iter().zip(gradients))
-            .map(|(tape, gradient)| Pass {
-                gaussians,
-                config,
-                tape,
-                gradient,
-            })
-            .collect();
-        let tiles: Vec<Vec<TileGradient>> = passes
-            .par_iter()
-            .map(|pass| pass.tape.tiles.par_iter().map(|tile| pass.tile(tile)).collect())
-            .collect();
-        for tile in tiles.iter().flatten() {
+    for (index, (tape, gradient)) in tapes.iter().zip(gradients).enumerate() {
+        let pass = Pass {
+            gaussians,
+            config,
+            tape,
+            gradient,
+        };
+        let tiles: Vec<TileGradient> = tape.tiles.par_iter().map(|tile| pass.tile(tile)).collect();
+        for tile in &tiles {
             for k in 0..3 {
                 into.background[k] += tile.background[k];
             }
         }
-        poses.extend(gather(&passes, &tiles, fresh && group == 0, into));
+        poses.push(gather(&pass, &tiles, fresh && index == 0, into));
     }
     for pose in &poses {
         for k in 0..9 {
@@ -140,65 +135,57 @@ fn check_room(gaussians: &Gaussians, into: &Gradients) -> Result<()> {
     )
 }
 
-/// Carries the tiles' sums of all views through the projection, chunk by chunk.
-fn gather(passes: &[Pass<'_>], tiles: &[Vec<TileGradient>], fresh: bool, into: &mut Gradients) -> Vec<PoseGradient> {
-    let mut poses = vec![PoseGradient::default(); passes.len()];
-    let Some(first_pass) = passes.first() else {
-        return poses;
-    };
-    let Pass { gaussians, config, .. } = *first_pass;
+/// Carries the tiles' sums through the projection, chunk by chunk.
+fn gather(pass: &Pass<'_>, tiles: &[TileGradient], fresh: bool, into: &mut Gradients) -> PoseGradient {
+    let Pass {
+        gaussians,
+        config,
+        tape,
+        ..
+    } = *pass;
     let channels = gaussians.extra_channels;
     let colours = gaussians.colour.values_per_gaussian();
-    let cameras: Vec<Vec<chain::CameraGradient>> = (into.means.par_chunks_mut(3 * CHUNK))
+    let cameras: Vec<chain::CameraGradient> = (into.means.par_chunks_mut(3 * CHUNK))
         .zip(into.quats.par_chunks_mut(4 * CHUNK))
         .zip(into.scales.par_chunks_mut(3 * CHUNK))
         .zip(into.opacities.par_chunks_mut(CHUNK))
         .zip(into.colour.par_chunks_mut(colours * CHUNK))
-        .zip(chunks_or_empty(
-            &mut into.extra,
-            channels,
-            gaussians.len().div_ceil(CHUNK),
-        ))
+        .zip(chunks_or_empty(&mut into.extra, channels, tape.projection.chunks.len()))
         .enumerate()
-        .map(|(chunk, (((((means, quats), scales), opacities), colour), extra))| {
+        .map(|(chunk, (((((means, quats), scales), opacities), colours), extra))| {
             let first = chunk * CHUNK;
-            let view = |(index, (pass, tiles)): (usize, (&Pass<'_>, &Vec<TileGradient>))| {
-                let sums = pass.sums(tiles, chunk);
-                let projection = &pass.tape.projection;
-                let kernel = chain::Chain {
-                    gaussians,
-                    view: &pass.tape.view,
-                    config,
-                    records: &projection.records[first..first + projection.chunks[chunk].visible],
-                    sums: &sums,
-                    first,
-                    fresh: fresh && index == 0,
-                    rows: chain::Rows {
-                        means: &mut *means,
-                        quats: &mut *quats,
-                        scales: &mut *scales,
-                        opacities: &mut *opacities,
-                        colours: &mut *colour,
-                        extra: &mut *extra,
-                    },
-                };
-                dispatch(config.simd, kernel)
+            let visible = tape.projection.chunks[chunk].visible;
+            let kernel = chain::Chain {
+                gaussians,
+                view: &tape.view,
+                config,
+                records: &tape.projection.records[first..first + visible],
+                sums: &pass.sums(tiles, chunk),
+                first,
+                fresh,
+                rows: chain::Rows {
+                    means,
+                    quats,
+                    scales,
+                    opacities,
+                    colours,
+                    extra,
+                },
             };
-            passes.iter().zip(tiles).enumerate().map(view).collect()
+            dispatch(config.simd, kernel)
         })
         .collect();
-    for chunk in &cameras {
-        for (pose, camera) in poses.iter_mut().zip(chunk) {
-            for k in 0..9 {
-                pose.rotation[k] += camera.rotation[k];
-            }
-            for k in 0..3 {
-                pose.translation[k] += camera.translation[k];
-            }
-            into.not_finite += camera.not_finite;
+    let mut pose = PoseGradient::default();
+    for camera in &cameras {
+        for k in 0..9 {
+            pose.rotation[k] += camera.rotation[k];
         }
+        for k in 0..3 {
+            pose.translation[k] += camera.translation[k];
+        }
+        into.not_finite += camera.not_finite;
     }
-    poses
+    pose
 }
 
 /// Chunks of the extra channels; as many empty ones as there are chunks where there are no channels.
