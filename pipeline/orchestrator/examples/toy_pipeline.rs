@@ -1,8 +1,9 @@
 //! A pipeline of toy stages in one program, as `rogs` is one: `toy_pipeline stage NAME one|worker|describe ...`.
 //!
 //! An episode is a text file `NAME.txt`. Its words make stages misbehave: `fail@lift`, `panic@lift`, `abort@lift`,
-//! `kill@lift`, `hang@lift`, `io@lift` (fails the first time only), `memory@lift` (takes 300 MB). All records are
-//! real ones, small, with pictures in them, so that everything that reads run folders can be tested without the networks.
+//! `kill@lift`, `hang@lift`, `stop@lift` (hears no signal but KILL), `io@lift` (fails the first time only), `memory@lift`
+//! (takes 300 MB). All records are real ones, small, with pictures in them, so that everything that reads run folders can
+//! be tested without the networks.
 //!
 //! Tests that stop a run at a certain moment set `ROGS_TOY_HOLD=CLIP@STAGE@begin|end` and `ROGS_TOY_FOLDER`: the worker
 //! that gets there first writes its process number to `held` in that folder and waits for a file `release`. Every worker
@@ -109,10 +110,21 @@ fn misbehave(words: &str, stage: &str, context: &Context<'_>) -> StageResult<()>
                     .status(),
             ),
             "hang" => std::thread::sleep(Duration::from_secs(600)),
+            "stop" => drop(
+                std::process::Command::new("sh")
+                    .args(["-c", &format!("kill -s STOP {}", std::process::id())])
+                    .status(),
+            ),
             "memory" => {
-                let block = vec![1_u8; 300 << 20];
-                std::thread::sleep(Duration::from_secs(5));
-                drop(std::hint::black_box(block));
+                let block = std::hint::black_box(vec![1_u8; 300 << 20]);
+                // Where so much is not allowed, Slurm notices within some seconds.
+                let allowed = std::env::var("SLURM_MEM_PER_NODE")
+                    .ok()
+                    .and_then(|text| text.parse().ok());
+                if allowed.is_some_and(|mebibytes: u64| mebibytes < 400) {
+                    std::thread::sleep(Duration::from_secs(300));
+                }
+                drop(block);
             }
             "io" => {
                 let marker = std::env::temp_dir().join(format!(
@@ -616,8 +628,14 @@ fn run(arguments: &[OsString]) -> ExitCode {
         prepared.options.interrupts = Interrupts::install().map_err(|error| Error::usage(error.to_string()))?;
         prepared.options.progress = ProgressMode::Lines;
         if arguments[0] == "submit" {
-            let submission = rogs_orchestrator::slurm::submit(&prepared, None, false)?;
-            println!("ids {:?}, shards {:?}", submission.ids, submission.shards);
+            let program = std::env::current_exe().map_err(|error| Error::usage(error.to_string()))?;
+            let finally = ["sh".into(), "-c".into(), finish_line(&program, &prepared.plan.run)];
+            let finally = std::env::var_os("ROGS_TOY_FINALLY").is_some().then_some(&finally[..]);
+            let submission = rogs_orchestrator::slurm::submit(&prepared, finally, false)?;
+            println!(
+                "{}",
+                serde_json::json!({"ids": submission.ids, "shards": submission.shards})
+            );
             return Ok(Exit::Done);
         }
         Ok(prepared.run()?.exit)
@@ -631,10 +649,32 @@ fn run(arguments: &[OsString]) -> ExitCode {
     }
 }
 
+/// What the job at the end of a submission runs: it keeps the state of the run as a text.
+fn finish_line(program: &Path, run: &Path) -> String {
+    format!(
+        "{} status {} > {}",
+        program.display(),
+        run.display(),
+        run.join("final.txt").display()
+    )
+}
+
 fn main() -> ExitCode {
     let mut arguments: Vec<OsString> = std::env::args_os().skip(1).collect();
     if arguments.len() == 4 && (arguments[0] == "run" || arguments[0] == "submit") {
         return run(&arguments);
+    }
+    if arguments.len() == 2 && arguments[0] == "status" {
+        return match rogs_orchestrator::status::status(Path::new(&arguments[1])) {
+            Ok(status) => {
+                print!("{}", status.table());
+                ExitCode::from(status.exit.code())
+            }
+            Err(error) => {
+                eprintln!("error: {error}");
+                ExitCode::from(error.exit().code())
+            }
+        };
     }
     if arguments.len() < 2 || arguments[0] != "stage" {
         // `cargo test` starts examples without arguments nowhere; a person gets told.

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use crate::error::Result;
 use crate::executor::RunOptions;
-use crate::ledger::{StageCost, costs, read_all};
+use crate::ledger::{StageCost, read_costs};
 use crate::plan::Plan;
 use crate::state::OutputState;
 use crate::sys::free_disk;
@@ -48,7 +48,7 @@ pub struct NodeEstimate {
 /// # Errors
 /// When the run folder cannot be read.
 pub fn estimate(plan: &Plan, options: &RunOptions) -> Result<Estimate> {
-    let costs = costs(&read_all(&plan.run)?);
+    let costs = read_costs(&plan.run)?;
     let states = plan.states();
     let node = |index: usize| {
         let up_to_date = states

@@ -1,6 +1,6 @@
 //! Handing a run to Slurm: one job array per stage, one array element per shard of clips. Nothing is scheduled here.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result, io};
 use crate::export::{batch_command, shard_of, shell_line, stages, write_units};
-use crate::ledger::{StageCost, costs, last_by_output, read_all};
+use crate::ledger::{StageCost, read_costs, tried};
 use crate::manifest::{Slurm, parse_size, safe_name};
 use crate::plan::{Plan, Unit};
 use crate::prepare::Prepared;
@@ -152,9 +152,8 @@ fn prepare(prepared: &Prepared, finally: Option<&[String]>) -> Result<Submission
         .iter()
         .map(|&clip| shard_of(clip, plan.clips.len(), shard_count))
         .collect();
-    let attempts = read_all(&plan.run)?;
-    let costs = costs(&attempts);
-    let doublings = doublings(plan, &open, &states, attempts)?;
+    let costs = read_costs(&plan.run)?;
+    let doublings = doublings(plan, &open, &states)?;
     let mut scripts = Vec::new();
     let mut commands = Vec::new();
     let names = stages(plan);
@@ -193,12 +192,7 @@ fn prepare(prepared: &Prepared, finally: Option<&[String]>) -> Result<Submission
 
 /// How often memory is doubled: once for each earlier submission, while units were lost without any record, which is
 /// what the kernel's or Slurm's memory killer leaves behind.
-fn doublings(
-    plan: &Plan,
-    open: &BTreeSet<usize>,
-    states: &[Vec<OutputState>],
-    attempts: Vec<rogs_schemas::ledger::Attempt>,
-) -> Result<u32> {
+fn doublings(plan: &Plan, open: &BTreeSet<usize>, states: &[Vec<OutputState>]) -> Result<u32> {
     let path = plan.run.join(SLURM_FOLDER).join("submissions.jsonl");
     let submissions = match std::fs::read_to_string(&path) {
         Ok(text) => text
@@ -211,13 +205,15 @@ fn doublings(
     if submissions == 0 {
         return Ok(0);
     }
-    let last = last_by_output(attempts);
-    let lost = open.iter().any(|&clip| {
-        let keys = plan.keys(clip);
-        // The first open unit of a clip decides: what follows it has had no chance.
-        let first = (0..plan.nodes.len()).find(|&node| states[clip][node] != OutputState::UpToDate);
-        first.is_some_and(|node| !last.contains_key(&(plan.output(Unit { clip, node }, &keys), keys[node].key)))
-    });
+    let maker = plan.key_maker();
+    // The first open unit of a clip decides: what follows it has had no chance.
+    let first_open = |&clip: &usize| {
+        let node = (0..plan.nodes.len()).find(|&node| states[clip][node] != OutputState::UpToDate)?;
+        let keys = maker.keys(clip);
+        Some((plan.output(Unit { clip, node }, &keys), keys[node].key))
+    };
+    let wanted: HashSet<_> = open.iter().filter_map(first_open).collect();
+    let lost = tried(&plan.run, &wanted)?.len() < wanted.len();
     Ok(if lost { submissions.min(MAX_DOUBLINGS) } else { 0 })
 }
 

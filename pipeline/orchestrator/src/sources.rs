@@ -10,7 +10,7 @@ use rogs_schemas::ContentHash;
 use rogs_schemas::source::{combine, hash_file, source_files};
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 
 /// A file younger than this may still be changing within the same time stamp, so its hash is not remembered.
 const SETTLED: Duration = Duration::from_secs(2);
@@ -58,8 +58,11 @@ impl SourceCache {
         };
         let known = self.known.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         let sorted: BTreeMap<_, _> = known.iter().collect();
-        let bytes = serde_json::to_vec(&sorted).map_err(|error| Error::Schemas(error.to_string()))?;
-        Ok(rogs_schemas::atomic::write_bytes(file, &bytes)?)
+        Ok(rogs_schemas::atomic::write_with(file, |out| {
+            let mut out = std::io::BufWriter::new(out);
+            serde_json::to_writer(&mut out, &sorted)?;
+            std::io::Write::flush(&mut out)
+        })?)
     }
 
     /// Content hash of one file.

@@ -20,42 +20,67 @@ pub enum OutputState {
     Damaged(String),
 }
 
-/// Looks at an output.
+/// Looks at an output: checks everything but its chunks.
 #[must_use]
 pub fn output_state(path: &Path, key: CacheKey) -> OutputState {
-    match rogs_schemas::r4c::read_header(path) {
-        Ok(header) if header.key == key => OutputState::UpToDate,
-        Ok(header) => OutputState::Stale(header.key),
+    state_of(path, key, rogs_schemas::r4c::read_header(path).map(|header| header.key))
+}
+
+/// Looks at an output more quickly: whether it is finished, as long as it should be, and has the key.
+#[must_use]
+pub fn output_key_state(path: &Path, key: CacheKey) -> OutputState {
+    state_of(path, key, rogs_schemas::r4c::read_key(path))
+}
+
+fn state_of(path: &Path, key: CacheKey, found: rogs_schemas::Result<CacheKey>) -> OutputState {
+    match found {
+        Ok(found) if found == key => OutputState::UpToDate,
+        Ok(found) => OutputState::Stale(found),
         Err(Error::Io { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => OutputState::Missing,
         Err(error) => OutputState::Damaged(crate::Error::from(error).to_string()),
     }
 }
 
 impl Plan {
-    /// States of all units, clip by clip, node by node.
+    /// States of all units, clip by clip, node by node, by the keys of finished files ([`output_key_state`]).
     #[must_use]
     pub fn states(&self) -> Vec<Vec<OutputState>> {
+        self.all_states(output_key_state)
+    }
+
+    /// The same with every file's header and index checked ([`output_state`]), for who is going to build on them.
+    #[must_use]
+    pub fn checked_states(&self) -> Vec<Vec<OutputState>> {
+        self.all_states(output_state)
+    }
+
+    fn all_states(&self, look: fn(&Path, CacheKey) -> OutputState) -> Vec<Vec<OutputState>> {
         let maker = self.key_maker();
         (0..self.clips.len())
             .into_par_iter()
-            .map(|clip| self.states_with(clip, &maker))
+            .map(|clip| self.states_with(clip, &maker, look))
             .collect()
     }
 
     /// States of the units of one clip, by node.
     #[must_use]
     pub fn clip_states(&self, clip: usize) -> Vec<OutputState> {
-        self.states_with(clip, &self.key_maker())
+        self.states_with(clip, &self.key_maker(), output_state)
     }
 
-    fn states_with(&self, clip: usize, maker: &KeyMaker<'_>) -> Vec<OutputState> {
+    fn states_with(
+        &self,
+        clip: usize,
+        maker: &KeyMaker<'_>,
+        look: fn(&Path, CacheKey) -> OutputState,
+    ) -> Vec<OutputState> {
         if !self.clip_folder(clip).is_dir() {
             return vec![OutputState::Missing; self.nodes.len()];
         }
         let keys = maker.keys(clip);
         let state = |node: usize| {
             let unit = Unit { clip, node };
-            output_state(&self.run.join(self.output(unit, &keys)), keys[node].key)
+            look(&self.run.join(self.output(unit, &keys)), keys[node].key)
         };
         (0..self.nodes.len()).map(state).collect()
     }

@@ -1,14 +1,15 @@
 //! What is done, what failed, what is left: from the plan, the outputs and the ledgers.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use rogs_schemas::ledger::{Failure, Outcome};
+use rogs_schemas::ledger::Failure;
 use serde::Serialize;
 
 use crate::error::Result;
 use crate::exit::Exit;
-use crate::ledger::{last_by_output, read_all};
+use crate::ledger::last_failures;
 use crate::lock::LOCK_FILE;
 use crate::plan::{Plan, Unit, read_plan};
 use crate::state::OutputState;
@@ -114,8 +115,13 @@ pub fn status(run: &Path) -> Result<Status> {
 /// # Errors
 /// When the run folder cannot be read.
 pub fn status_of(plan: &Plan) -> Result<(Status, Vec<Vec<OutputState>>)> {
-    let last = last_by_output(read_all(&plan.run)?);
     let states = plan.states();
+    let done = states.iter().flatten().all(|state| *state == OutputState::UpToDate);
+    let last = if done {
+        HashMap::new()
+    } else {
+        last_failures(&plan.run)?
+    };
     let maker = plan.key_maker();
     let units: Vec<(Vec<UnitState>, Vec<StatusFailure>)> = (0..plan.clips.len())
         .into_par_iter()
@@ -128,9 +134,7 @@ pub fn status_of(plan: &Plan) -> Result<(Status, Vec<Vec<OutputState>>)> {
             let keys = maker.keys(clip);
             for node in 0..plan.nodes.len() {
                 let output = plan.output(Unit { clip, node }, &keys);
-                let attempt = last
-                    .get(&(output, keys[node].key))
-                    .filter(|attempt| attempt.outcome == Outcome::Failed);
+                let attempt = last.get(&(output, keys[node].key));
                 let blocked = plan
                     .upstream(node)
                     .any(|upstream| matches!(units[upstream], UnitState::Failed | UnitState::Blocked));

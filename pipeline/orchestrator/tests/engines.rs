@@ -161,7 +161,7 @@ fn submissions_chain_the_arrays_and_the_next_one_is_sparse() {
     };
     let (code, text, output) = submit();
     assert_eq!(code, 0, "{output:?}");
-    assert!(text.contains("shards [0, 1, 2]"), "{text}");
+    assert!(text.contains("\"shards\":[0,1,2]"), "{text}");
     let calls = std::fs::read_to_string(workspace.path("fake.log")).unwrap();
     let calls: Vec<&str> = calls.lines().collect();
     assert_eq!(calls.len(), 6);
@@ -174,7 +174,10 @@ fn submissions_chain_the_arrays_and_the_next_one_is_sparse() {
     workspace.episode("b", "mended");
     let (code, text, output) = submit();
     assert_eq!(code, 0, "{output:?}");
-    assert!(text.contains("shards [1]"), "only what is left is submitted: {text}");
+    assert!(
+        text.contains("\"shards\":[1]"),
+        "only what is left is submitted: {text}"
+    );
     assert_eq!(status::status(&workspace.run_folder()).unwrap().clips.done, 3);
     let (code, _, output) = submit();
     assert_eq!(code, 2, "nothing to submit: {output:?}");

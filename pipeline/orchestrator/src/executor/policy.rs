@@ -37,6 +37,11 @@ pub(super) fn of_crash(stage: &str, clip: &str, status: std::process::ExitStatus
             FailureCode::Resource,
             "probably out of memory: use fewer workers (`workers` in [executor]) or a larger machine",
         )
+    } else if status.signal() == Some(libc::SIGXFSZ) {
+        (
+            FailureCode::Resource,
+            "the output is longer than files may be here: raise the limit (`ulimit -f`)",
+        )
     } else if status.code() == Some(75) || status.signal() == Some(libc::SIGTERM) {
         (FailureCode::Io, "someone stopped the worker; run again")
     } else {
@@ -82,6 +87,7 @@ mod tests {
         };
         assert_eq!(of(9, &[]), FailureCode::Resource);
         assert_eq!(of(6, &["memory allocation of 99 bytes failed"]), FailureCode::Resource);
+        assert_eq!(of(libc::SIGXFSZ, &[]), FailureCode::Resource);
         assert_eq!(of(6, &[]), FailureCode::Internal);
         assert_eq!(of(75 << 8, &[]), FailureCode::Io);
         assert_eq!(of(1 << 8, &[]), FailureCode::Internal);

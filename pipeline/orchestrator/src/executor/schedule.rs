@@ -14,7 +14,7 @@ use super::slot::{JobResult, Message, Slot};
 use super::{ClipCounts, RunOptions, RunSummary, UnitCounts, UnitFailure};
 use crate::error::{Error, Result, io};
 use crate::exit::Exit;
-use crate::ledger::{Ledger, costs, read_all};
+use crate::ledger::{Ledger, read_costs};
 use crate::lock::RunLock;
 use crate::plan::{Plan, Unit};
 use crate::state::{OutputState, output_state};
@@ -35,7 +35,7 @@ pub fn execute(plan: &Plan, options: &RunOptions) -> Result<RunSummary> {
     let start = Instant::now();
     let _lock = RunLock::acquire(&plan.run)?;
     plan.freeze()?;
-    let states = plan.states();
+    let states = plan.checked_states();
     sweep(plan, &states)?;
     let (tell, hear) = channel();
     std::thread::scope(|scope| {
@@ -43,6 +43,7 @@ pub fn execute(plan: &Plan, options: &RunOptions) -> Result<RunSummary> {
             .map(|number| Slot::start(scope, number, options, tell.clone()))
             .collect();
         let mut schedule = Schedule::new(plan, options, &states, slots)?;
+        drop(states);
         let result = schedule.run(&hear);
         // Dropping the slots ends their threads, and those their workers.
         schedule.slots.clear();
@@ -97,7 +98,7 @@ impl<'a> Schedule<'a> {
             .iter()
             .map(|(stage, &bytes)| (stage.clone(), bytes))
             .collect();
-        for (stage, cost) in costs(&read_all(&plan.run)?) {
+        for (stage, cost) in read_costs(&plan.run)? {
             memory.insert(stage, cost.peak_rss_bytes);
         }
         Ok(Self {
