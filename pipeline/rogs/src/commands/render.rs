@@ -1,5 +1,7 @@
 //! `rogs render`: a field at a time, or a 3DGS PLY, seen from any camera.
 
+mod npz;
+
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -8,12 +10,12 @@ use rogs_geometry::{Base, Camera as CameraFrame, Pose, Recon};
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::{Intrinsics, read_record};
-use rogs_splat::{Camera, Gaussians, RasterConfig, Render, TimedField, render};
+use rogs_splat::{Axes, Camera, Gaussians, RasterConfig, Render, TimedField, export_field_in, render};
 use serde::{Deserialize, Serialize};
 
 use crate::output;
 
-/// Renders a field of ours at a stored time, or any 3DGS PLY, to PNG and EXR.
+/// Renders a field of ours at a stored time, or any 3DGS PLY, to PNG, EXR and npz; writes a field as PLY.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// A field (`field-1.r4c`) or a PLY file.
@@ -53,9 +55,30 @@ pub(crate) struct ViewArgs {
     /// Also write accumulated opacity as NAME.alpha.exr.
     #[arg(long)]
     alpha: bool,
+    /// Also write NAME.npz with all numbers for Python: rgb, alpha, depth, of a field displacement, intrinsics,
+    /// recon_from_camera; metres.
+    #[arg(long)]
+    npz: bool,
+    /// Stored time that the displacement in NAME.npz counts from. Default: the first stored time.
+    #[arg(long, value_name = "TIME", requires = "npz")]
+    since: Option<f64>,
+    /// Also write the Gaussians of the field at this time as `field.ply`, which every 3DGS viewer reads; metres.
+    #[arg(long)]
+    ply: bool,
+    /// Frame of `field.ply`: the robot's base, or the reconstruction frame (axes of the first source camera).
+    #[arg(long, value_enum, default_value_t, requires = "ply")]
+    axes: AxesArg,
     /// Print one JSON value: the files and what became of the Gaussians.
     #[arg(long)]
     json: bool,
+}
+
+/// Frames of a PLY file.
+#[derive(Debug, Clone, Copy, Default, clap::ValueEnum)]
+enum AxesArg {
+    #[default]
+    Recon,
+    Base,
 }
 
 /// A camera file.
@@ -95,7 +118,10 @@ struct Rendered {
 
 /// A scene ready to render, with what a base pose means in it.
 struct Scene {
+    /// A field's have their displacement in metres as extra channels where it is asked for.
     gaussians: Gaussians,
+    /// Files made of the scene as a whole.
+    files: Vec<PathBuf>,
     time: Option<f64>,
     units_per_metre: f64,
     recon_from_base: Pose<Recon, Base>,
@@ -109,10 +135,20 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     {
         ensure!(args.refinement.is_none(), "a PLY file takes no refinement");
         ensure!(args.time.is_none(), "a PLY file holds one time; leave `--time` out");
+        ensure!(
+            args.view.since.is_none(),
+            "a PLY file holds no displacement; leave `--since` out"
+        );
+        ensure!(
+            !args.view.ply,
+            "`{}` is a PLY file already; leave `--ply` out",
+            args.scene.display()
+        );
         let scene = rogs_splat::ply::read_ply_file(&args.scene)?;
         let recon_from_base = Pose::from_matrix4(&IDENTITY)?;
         let scene = Scene {
             gaussians: scene.gaussians,
+            files: Vec::new(),
             time: None,
             units_per_metre: 1.0,
             recon_from_base,
@@ -150,8 +186,26 @@ pub(crate) fn render_field(
     if let Some(refinement) = &refinement {
         timed = timed.with_refinement(refinement)?;
     }
+    let mut files = Vec::new();
+    if view.ply {
+        let axes = match view.axes {
+            AxesArg::Recon => Axes::Recon,
+            AxesArg::Base => Axes::Base,
+        };
+        make_folder(&view.out)?;
+        let path = view.out.join("field.ply");
+        export_field_in(&timed, time, axes, &path)?;
+        files.push(path);
+    }
+    let first = field.slices.first().map_or(time, |slice| slice.time);
+    let since = view.since.unwrap_or(first);
     let scene = Scene {
-        gaussians: timed.gaussians(time)?,
+        gaussians: if view.npz {
+            timed.gaussians_with_displacement(time, since, time)?
+        } else {
+            timed.gaussians(time)?
+        },
+        files,
         time: Some(time),
         units_per_metre: rogs_schemas::units::UNITS_PER_METRE,
         recon_from_base: Pose::from_rigid(&field.recon_from_base)?,
@@ -159,15 +213,31 @@ pub(crate) fn render_field(
     render_scene(&scene, view)
 }
 
+fn make_folder(path: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(path).with_context(|| format!("making `{}`", path.display()))
+}
+
 fn render_scene(scene: &Scene, args: &ViewArgs) -> anyhow::Result<ExitCode> {
     let cameras = read_cameras(&args.camera)?;
-    std::fs::create_dir_all(&args.out).with_context(|| format!("making `{}`", args.out.display()))?;
+    make_folder(&args.out)?;
+    let views: Vec<(Pose<Recon, CameraFrame>, Camera)> = cameras
+        .iter()
+        .map(|spec| camera(spec, scene))
+        .collect::<anyhow::Result<_>>()?;
     let mut rendered = Vec::new();
-    for spec in &cameras {
-        let view = render(&scene.gaussians, &camera(spec, scene)?, &RasterConfig::default())?;
+    // A view at a time: images of many large views would not fit in memory together.
+    for (spec, (recon_from_camera, camera)) in cameras.iter().zip(views) {
+        let view = render(&scene.gaussians, &camera, &RasterConfig::default())?;
+        let mut files = write(args, spec, &view, scene.units_per_metre)?;
+        if args.npz {
+            let path = args.out.join(format!("{}.npz", spec.name));
+            write_npz(&path, spec, &recon_from_camera, &view, scene)
+                .with_context(|| format!("writing `{}`", path.display()))?;
+            files.push(path);
+        }
         rendered.push(Rendered {
             camera: spec.name.clone(),
-            files: write(args, spec, &view, scene.units_per_metre)?,
+            files,
             time: scene.time,
             gaussians: scene.gaussians.len(),
             visible: view.counts.visible,
@@ -175,8 +245,15 @@ fn render_scene(scene: &Scene, args: &ViewArgs) -> anyhow::Result<ExitCode> {
         });
     }
     if args.json {
+        // One value per camera, as ever; the files of the scene as a whole stand with the first.
+        if let Some(first) = rendered.first_mut() {
+            first.files.splice(0..0, scene.files.iter().cloned());
+        }
         output::json(&rendered)?;
         return Ok(ExitCode::SUCCESS);
+    }
+    for file in &scene.files {
+        output::text(&file.display().to_string())?;
     }
     for view in &rendered {
         for file in &view.files {
@@ -213,7 +290,8 @@ fn read_cameras(path: &Path) -> anyhow::Result<Vec<CameraSpec>> {
 
 const IDENTITY: [f64; 16] = [1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1.];
 
-fn camera(spec: &CameraSpec, scene: &Scene) -> anyhow::Result<Camera> {
+/// Pose and camera of a view.
+fn camera(spec: &CameraSpec, scene: &Scene) -> anyhow::Result<(Pose<Recon, CameraFrame>, Camera)> {
     let flat = |matrix: &[[f64; 4]; 4]| -> [f64; 16] { std::array::from_fn(|index| matrix[index / 4][index % 4]) };
     let recon_from_camera: Pose<Recon, CameraFrame> = match (&spec.recon_from_camera, &spec.base_from_camera) {
         (Some(matrix), None) => Pose::from_matrix4(&flat(matrix))?,
@@ -227,13 +305,44 @@ fn camera(spec: &CameraSpec, scene: &Scene) -> anyhow::Result<Camera> {
         ),
     };
     let pose = recon_from_camera.to_rigid();
-    Ok(Camera::from_world_pose(
-        spec.width,
-        spec.height,
-        &spec.intrinsics,
-        &pose,
-        scene.units_per_metre,
-    ))
+    let camera = Camera::from_world_pose(spec.width, spec.height, &spec.intrinsics, &pose, scene.units_per_metre);
+    Ok((recon_from_camera, camera))
+}
+
+/// All numbers of a view: images of f32, `[H, W]` or `[H, W, 3]`, and the camera in f64.
+fn write_npz(
+    path: &Path,
+    spec: &CameraSpec,
+    recon_from_camera: &Pose<Recon, CameraFrame>,
+    view: &Render,
+    scene: &Scene,
+) -> std::io::Result<()> {
+    let (height, width) = (view.height, view.width);
+    let depth: Vec<f32> = metres(&view.depth_expected, scene.units_per_metre);
+    let Intrinsics { fx, fy, cx, cy } = spec.intrinsics;
+    let mut arrays = vec![
+        npz::Array::f32("rgb", &[height, width, 3], &view.rgb),
+        npz::Array::f32("alpha", &[height, width], &view.alpha),
+        npz::Array::f32("depth", &[height, width], &depth),
+    ];
+    if view.extra_channels == 3 {
+        arrays.push(npz::Array::f32("displacement", &[height, width, 3], &view.extra));
+    }
+    let matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0];
+    arrays.push(npz::Array::f64("intrinsics", &[3, 3], &matrix));
+    arrays.push(npz::Array::f64(
+        "recon_from_camera",
+        &[4, 4],
+        &recon_from_camera.to_matrix4(),
+    ));
+    if let Some(time) = scene.time {
+        arrays.push(npz::Array::f64("time", &[], &[time]));
+    }
+    npz::write(path, &arrays)
+}
+
+fn metres(depth: &[f32], units_per_metre: f64) -> Vec<f32> {
+    depth.iter().map(|depth| depth / units_per_metre as f32).collect()
 }
 
 fn write(args: &ViewArgs, spec: &CameraSpec, view: &Render, units_per_metre: f64) -> anyhow::Result<Vec<PathBuf>> {
@@ -255,14 +364,7 @@ fn write(args: &ViewArgs, spec: &CameraSpec, view: &Render, units_per_metre: f64
         Ok(())
     };
     if args.depth {
-        plane(
-            "depth",
-            "Z",
-            view.depth_expected
-                .iter()
-                .map(|depth| depth / units_per_metre as f32)
-                .collect(),
-        )?;
+        plane("depth", "Z", metres(&view.depth_expected, units_per_metre))?;
     }
     if args.alpha {
         plane("alpha", "A", view.alpha.clone())?;

@@ -1,0 +1,349 @@
+//! `rogs render` on a small wall of Gaussians: pictures, arrays for Python, PLY files in two frames.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use rogs_schemas::key::{KeyMaterial, Provenance};
+use rogs_schemas::records::clip::SourceView;
+use rogs_schemas::records::field::{Field, TimeSlice, WeightsInfo};
+use rogs_schemas::records::robot::NO_LINK;
+use rogs_schemas::{RigidPose, write_record};
+use rogs_splat::{Colour, read_ply_file};
+use serde_json::Value;
+
+const HEIGHT: usize = 24;
+const WIDTH: usize = 32;
+
+/// A folder with a field and a camera file.
+struct Workspace(tempfile::TempDir);
+
+impl Workspace {
+    /// A wall one metre ahead of the camera that moves 0.1 m along x from time 0 to time 1.
+    fn new() -> Self {
+        let workspace = Self(tempfile::tempdir().unwrap());
+        let provenance = Provenance {
+            material: KeyMaterial {
+                stage: "lift".into(),
+                stage_version: 1,
+                schema: "rogs.field 1.0".into(),
+                params: "{}".into(),
+                inputs: BTreeMap::new(),
+            },
+            input_content: BTreeMap::new(),
+        };
+        write_record(&workspace.path("field.r4c"), &wall(), &provenance).unwrap();
+        workspace.write(
+            "camera.json",
+            r#"{"name": "front", "width": 32, "height": 24,
+                "intrinsics": {"fx": 30, "fy": 30, "cx": 16, "cy": 12},
+                "recon_from_camera": [[1,0,0,0], [0,1,0,0], [0,0,1,0], [0,0,0,1]]}"#,
+        );
+        workspace
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn write(&self, name: &str, text: &str) {
+        std::fs::write(self.path(name), text).unwrap();
+    }
+
+    fn run(&self, arguments: &[&str]) -> Output {
+        Command::new(env!("CARGO_BIN_EXE_rogs"))
+            .arg("render")
+            .args(arguments)
+            .current_dir(self.0.path())
+            .output()
+            .unwrap()
+    }
+
+    fn good(&self, arguments: &[&str]) -> String {
+        let output = self.run(arguments);
+        let (out, err) = (
+            String::from_utf8_lossy(&output.stdout),
+            String::from_utf8_lossy(&output.stderr),
+        );
+        assert!(output.status.success(), "{arguments:?}: {err}");
+        out.into_owned()
+    }
+
+    fn bad(&self, arguments: &[&str]) -> String {
+        let output = self.run(arguments);
+        assert!(!output.status.success(), "{arguments:?} must fail");
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    }
+}
+
+/// The base frame of the wall: turned by 90 degrees, with z up where the camera looks along x, and half a metre away.
+fn recon_from_base() -> RigidPose {
+    RigidPose {
+        rotation: [0.0, -1.0, 0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0],
+        translation: [0.0, 0.25, -0.5],
+    }
+}
+
+fn wall() -> Field {
+    let n = HEIGHT * WIDTH;
+    let mut position_m = Vec::new();
+    for row in 0..HEIGHT {
+        for column in 0..WIDTH {
+            position_m.extend([
+                (column as f32 + 0.5 - 16.0) / 30.0,
+                (row as f32 + 0.5 - 12.0) / 30.0,
+                1.0,
+            ]);
+        }
+    }
+    // Raw colour (a bluish grey), scale, rotation, opacity.
+    let raw = [0.0, 0.25, 0.5, 170.0, 170.0, 1.0, 1.0, 0.25, 0.0, 0.0, 5.0];
+    let slice = |time: f64| TimeSlice {
+        time,
+        displacement_m: (0..n).flat_map(|_| [0.1 * time as f32, 0.0, 0.0]).collect(),
+        gate: vec![0; n],
+        moving_raw: vec![],
+    };
+    Field {
+        clip_id: "wall".into(),
+        frame_count: 17,
+        height: HEIGHT as u32,
+        width: WIDTH as u32,
+        views: vec![SourceView { camera: 0, frame: 0 }],
+        recon_from_base: recon_from_base(),
+        weights: WeightsInfo {
+            trained: false,
+            configuration: "ci".into(),
+            description: "none".into(),
+            hash: String::new(),
+        },
+        position_m,
+        base_raw: raw.repeat(n),
+        support: vec![0; n],
+        link: vec![NO_LINK; n],
+        scale_cap_iu: vec![f32::INFINITY; n],
+        slices: [0.0, 0.5, 1.0].map(slice).to_vec(),
+        query_state: vec![],
+    }
+}
+
+/// An array of an archive: shape and values.
+struct Array {
+    shape: Vec<usize>,
+    values: Vec<f64>,
+}
+
+/// Reads an archive of stored arrays through its directory, as numpy does.
+fn read_npz(path: &Path) -> BTreeMap<String, Array> {
+    let bytes = std::fs::read(path).unwrap();
+    let u16_at = |at: usize| usize::from(u16::from_le_bytes(bytes[at..at + 2].try_into().unwrap()));
+    let u32_at = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+    let end = bytes.len() - 22;
+    assert_eq!(&bytes[end..end + 4], b"PK\x05\x06");
+    let mut arrays = BTreeMap::new();
+    let mut at = u32_at(end + 16);
+    for _ in 0..u16_at(end + 10) {
+        assert_eq!(&bytes[at..at + 4], b"PK\x01\x02");
+        let (size, name_length, local) = (u32_at(at + 24), u16_at(at + 28), u32_at(at + 42));
+        let name = std::str::from_utf8(&bytes[at + 46..at + 46 + name_length]).unwrap();
+        at += 46 + name_length;
+        assert_eq!(&bytes[local..local + 4], b"PK\x03\x04");
+        assert_eq!(u32_at(local + 22), size, "sizes of {name}");
+        let start = local + 30 + u16_at(local + 26) + u16_at(local + 28);
+        let npy = &bytes[start..start + size];
+        assert_eq!(&npy[..8], b"\x93NUMPY\x01\x00");
+        let header_end = 10 + usize::from(u16::from_le_bytes([npy[8], npy[9]]));
+        let header = std::str::from_utf8(&npy[10..header_end]).unwrap();
+        let shape = header.split_once('(').unwrap().1.split_once(')').unwrap().0;
+        let shape = shape.split(',').filter_map(|size| size.trim().parse().ok()).collect();
+        let data = &npy[header_end..];
+        let values = if header.contains("'<f4'") {
+            let value = |b: &[u8]| f64::from(f32::from_le_bytes(b.try_into().unwrap()));
+            data.chunks_exact(4).map(value).collect()
+        } else {
+            assert!(header.contains("'<f8'"), "{header}");
+            data.chunks_exact(8)
+                .map(|b| f64::from_le_bytes(b.try_into().unwrap()))
+                .collect()
+        };
+        arrays.insert(name.trim_end_matches(".npy").to_owned(), Array { shape, values });
+    }
+    arrays
+}
+
+#[test]
+fn an_npz_holds_images_displacement_and_the_camera() {
+    let workspace = Workspace::new();
+    let printed = workspace.good(&[
+        "field.r4c",
+        "--time",
+        "1",
+        "--camera",
+        "camera.json",
+        "--out",
+        "out",
+        "--npz",
+        "--depth",
+        "--alpha",
+        "--json",
+    ]);
+    let printed: Value = serde_json::from_str(&printed).unwrap();
+    let files: Vec<&str> = printed[0]["files"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|f| f.as_str().unwrap())
+        .collect();
+    for name in ["front.png", "front.depth.exr", "front.alpha.exr", "front.npz"] {
+        assert!(files.iter().any(|file| file.ends_with(name)), "{name} in {files:?}");
+        assert!(workspace.path("out").join(name).is_file());
+    }
+    let arrays = read_npz(&workspace.path("out/front.npz"));
+    let shapes: Vec<(&str, &[usize])> = arrays
+        .iter()
+        .map(|(name, a)| (name.as_str(), a.shape.as_slice()))
+        .collect();
+    assert_eq!(
+        shapes,
+        [
+            ("alpha", [24, 32].as_slice()),
+            ("depth", &[24, 32]),
+            ("displacement", &[24, 32, 3]),
+            ("intrinsics", &[3, 3]),
+            ("recon_from_camera", &[4, 4]),
+            ("rgb", &[24, 32, 3]),
+            ("time", &[]),
+        ]
+    );
+    // The wall is a metre away, opaque, and has moved 0.1 m along x; pixels at its rim are left out.
+    for row in 4..20 {
+        for column in 8..28 {
+            let pixel = row * WIDTH + column;
+            let at = |name: &str, index: usize| arrays[name].values[index];
+            assert!((at("depth", pixel) - 1.0).abs() < 1e-3, "depth {}", at("depth", pixel));
+            assert!(at("alpha", pixel) > 0.9 && at("alpha", pixel) <= 1.0);
+            assert!((at("displacement", 3 * pixel) - 0.1).abs() < 1e-4);
+            assert!(at("displacement", 3 * pixel + 1).abs() < 1e-6);
+            assert!((at("rgb", 3 * pixel) / at("alpha", pixel) - 0.5).abs() < 1e-3);
+        }
+    }
+    assert_eq!(arrays["intrinsics"].values[..3], [30.0, 0.0, 16.0]);
+    assert_eq!(arrays["time"].values, [1.0]);
+    // Counted from another time; what EXR and PNG show does not change with the arrays.
+    let picture = std::fs::read(workspace.path("out/front.png")).unwrap();
+    workspace.good(&[
+        "field.r4c",
+        "--time",
+        "1",
+        "--camera",
+        "camera.json",
+        "--out",
+        "later",
+        "--npz",
+        "--since",
+        "0.5",
+    ]);
+    let later = read_npz(&workspace.path("later/front.npz"));
+    assert!((later["displacement"].values[3 * (12 * WIDTH + 16)] - 0.05).abs() < 1e-4);
+    workspace.good(&["field.r4c", "--time", "1", "--camera", "camera.json", "--out", "plain"]);
+    assert!(picture == std::fs::read(workspace.path("plain/front.png")).unwrap());
+    assert!(!workspace.path("plain/front.npz").exists() && !workspace.path("plain/field.ply").exists());
+}
+
+#[test]
+fn a_ply_is_written_in_either_frame_and_renders_as_the_field_does() {
+    let workspace = Workspace::new();
+    let field = |out: &str, extra: &[&str]| {
+        let arguments = [
+            "field.r4c",
+            "--time",
+            "0.5",
+            "--camera",
+            "camera.json",
+            "--npz",
+            "--out",
+            out,
+        ];
+        workspace.good(&[&arguments, extra].concat())
+    };
+    assert!(field("recon", &["--ply"]).contains("field.ply"));
+    field("base", &["--ply", "--axes", "base"]);
+    let (recon, base) = (
+        read_ply_file(&workspace.path("recon/field.ply")).unwrap(),
+        read_ply_file(&workspace.path("base/field.ply")).unwrap(),
+    );
+    assert!(
+        recon.comments.iter().any(|c| c == "frame recon_opencv unit m"),
+        "{:?}",
+        recon.comments
+    );
+    assert!(
+        base.comments.iter().any(|c| c == "frame base unit m"),
+        "{:?}",
+        base.comments
+    );
+    let RigidPose {
+        rotation: r,
+        translation: t,
+    } = recon_from_base();
+    let pairs = recon
+        .gaussians
+        .means
+        .chunks_exact(3)
+        .zip(base.gaussians.means.chunks_exact(3));
+    for (recon, base) in pairs {
+        for k in 0..3 {
+            let back: f64 = (0..3).map(|i| r[3 * k + i] * f64::from(base[i])).sum::<f64>() + t[k];
+            assert!((back - f64::from(recon[k])).abs() < 1e-5, "{recon:?} {base:?}");
+        }
+    }
+    assert!(matches!(base.gaussians.colour, Colour::Sh { degree: 0, .. }));
+
+    // The same camera, given in the frame of each file, sees the same picture as it sees of the field.
+    let identity = "[[1,0,0,0], [0,1,0,0], [0,0,1,0], [0,0,0,1]]";
+    // base_from_recon: the transposed rotation, and - R^T t.
+    let base_from_camera = "[[0,0,1,0.5], [-1,0,0,0], [0,-1,0,0.25], [0,0,0,1]]";
+    let camera = std::fs::read_to_string(workspace.path("camera.json")).unwrap();
+    workspace.write("in-base.json", &camera.replace(identity, base_from_camera));
+    let rendered = |file: &str, camera: &str, out: &str| {
+        workspace.good(&[file, "--camera", camera, "--out", out, "--npz"]);
+        let arrays = read_npz(&workspace.path(out).join("front.npz"));
+        assert!(!arrays.contains_key("displacement") && !arrays.contains_key("time"));
+        arrays
+    };
+    let of_field = read_npz(&workspace.path("recon/front.npz"));
+    for arrays in [
+        rendered("recon/field.ply", "camera.json", "a"),
+        rendered("base/field.ply", "in-base.json", "b"),
+    ] {
+        for name in ["rgb", "alpha", "depth"] {
+            let worst = (arrays[name].values.iter().zip(&of_field[name].values))
+                .map(|(a, b)| (a - b).abs())
+                .fold(0.0, f64::max);
+            // The low-pass filter is in pixels, so a scene in metres renders as one in internal units does.
+            assert!(worst < 2e-3, "{name}: {worst}");
+        }
+    }
+}
+
+#[test]
+fn requests_that_make_no_sense_are_refused_with_a_reason() {
+    let workspace = Workspace::new();
+    let common = ["--camera", "camera.json", "--out", "out"];
+    let field = |extra: &[&str]| workspace.bad(&[&["field.r4c"], common.as_slice(), extra].concat());
+    assert!(field(&["--axes", "base"]).contains("--ply"));
+    assert!(field(&["--since", "0"]).contains("--npz"));
+    assert!(
+        field(&["--npz", "--since", "0.3"]).contains("stored times"),
+        "{}",
+        field(&["--npz", "--since", "0.3"])
+    );
+    assert!(field(&["--time", "0.3"]).contains("rogs query"));
+    workspace.good(&[["field.r4c", "--ply"].as_slice(), &common].concat());
+    let ply = |extra: &[&str]| workspace.bad(&[&["out/field.ply"], common.as_slice(), extra].concat());
+    assert!(ply(&["--ply"]).contains("PLY file already"));
+    assert!(ply(&["--npz", "--since", "0"]).contains("--since"));
+    assert!(ply(&["--time", "0"]).contains("--time"));
+    workspace.write("camera.json", "{\"name\": \"../up\"}");
+    assert!(field(&[]).contains("camera file"));
+}
