@@ -8,7 +8,7 @@ mod common;
 
 use std::path::Path;
 
-use common::{panda, peak_memory_mib, run_peer, seconds};
+use common::{panda, peak_memory_mib, processor_seconds, run_peer, seconds};
 use glam::{DMat3, DVec3};
 use rayon::ThreadPoolBuilder;
 use rogs_geometry::raster::Renderer;
@@ -58,7 +58,7 @@ fn compare(name: &str, model: &RobotModel, scene: &MeshScene, width: u32, height
         height,
     };
     let poses: Vec<Vec<Pose<Camera, Link>>> = (0..16).map(|step| poses(model, f64::from(step) * 0.002)).collect();
-    let mut ours = [0.0; 2];
+    let mut ours = [0.0; 3];
     for threads in [1usize, 2] {
         let pool = ThreadPoolBuilder::new()
             .num_threads(threads)
@@ -66,17 +66,24 @@ fn compare(name: &str, model: &RobotModel, scene: &MeshScene, width: u32, height
             .expect("a thread pool");
         let mut renderer = Renderer::new(scene);
         let mut frame = 0;
+        let mut processor = 0.0;
         let (median, least) = pool.install(|| {
-            seconds(RUNS, || {
+            let times = seconds(RUNS, || {
+                if frame == 1 {
+                    // After the warm-up.
+                    processor = processor_seconds();
+                }
                 frame += 1;
                 let image = renderer.render(&camera, &poses[frame % poses.len()], &RenderOptions::default(), threads);
                 std::hint::black_box(image.expect("the scene renders"));
-            })
+            });
+            processor = processor_seconds() - processor;
+            times
         });
-        ours = [median * 1e3, least * 1e3];
+        ours = [median * 1e3, least * 1e3, processor * 1e3 / RUNS as f64];
         println!(
-            "  {width}x{height}, {threads} thread(s): {:.3} ms a frame (best {:.3})",
-            ours[0], ours[1]
+            "  {width}x{height}, {threads} thread(s): {:.3} ms a frame (best {:.3}), {:.3} ms of processor time",
+            ours[0], ours[1], ours[2]
         );
     }
     let image = scene
@@ -109,7 +116,7 @@ fn report_peers(
     camera: &Pinhole,
     poses: &[Pose<Camera, Link>],
     image: &MeshImage,
-    ours: [f64; 2],
+    ours: [f64; 3],
 ) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let (mut corners, mut links) = (Vec::new(), Vec::new());
@@ -134,16 +141,17 @@ fn report_peers(
     };
     for line in output.lines() {
         let words: Vec<&str> = line.split_whitespace().collect();
-        let [peer, median, least, memory] = words.as_slice() else {
+        let [peer, median, least, processor, memory] = words.as_slice() else {
             continue;
         };
         let parse = |text: &str| text.parse::<f64>().unwrap_or(f64::NAN);
         println!(
-            "  {name} {}x{} {peer}: {median} ms (best {least}), {memory} MiB: ours is {:.1} times as fast (best against best {:.1}); {}",
+            "  {name} {}x{} {peer}: {median} ms (best {least}, processor {processor}), {memory} MiB: ours is {:.1} times as fast (best against best {:.1}, processor time {:.1}); {}",
             camera.width,
             camera.height,
             parse(median) / ours[0],
             parse(least) / ours[1],
+            parse(processor) / ours[2],
             difference(folder.path(), peer, image)
         );
     }

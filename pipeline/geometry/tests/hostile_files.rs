@@ -6,6 +6,7 @@ mod common;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use proptest::prelude::*;
 use rogs_geometry::{Mesh, RobotModel};
@@ -42,7 +43,11 @@ static ALLOCATOR: Counting = Counting;
 /// Most bytes that any reader may hold for the files of these tests (at most 128 KiB), over everything else alive.
 const LIMIT: usize = 64 << 20;
 
+/// Tests run side by side, but memory is counted for the whole process.
+static ALONE: Mutex<()> = Mutex::new(());
+
 fn bounded<T>(work: impl FnOnce() -> T) -> T {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let before = LIVE.load(Ordering::Relaxed);
     PEAK.store(before, Ordering::Relaxed);
     let result = work();

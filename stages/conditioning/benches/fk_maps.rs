@@ -150,7 +150,7 @@ impl Workload {
 fn measure(workload: &Workload) {
     let size = VIEWS * QUERIES * 5 * AREA;
     let mut out = vec![0.0f32; size];
-    let mut ours = [[0.0; 2]; 3];
+    let mut ours = [[0.0; 3]; 3];
     for threads in [1usize, 2] {
         let pool = ThreadPoolBuilder::new()
             .num_threads(threads)
@@ -171,8 +171,11 @@ fn measure(workload: &Workload) {
             })
         });
         println!(
-            "  {threads} thread(s): sparse {:.2} ms (best {:.2}), dense into a kept buffer {:.2} (best {:.2}), into a new one {:.2} (best {:.2}), bare fill {:.2} (best {:.2})",
-            sparse[0], sparse[1], dense[0], dense[1], fresh[0], fresh[1], fill[0], fill[1]
+            "  {threads} thread(s), ms by median, best and processor time: sparse {}, dense into a kept buffer {}, into a new one {}, bare fill {}",
+            shown(sparse),
+            shown(dense),
+            shown(fresh),
+            shown(fill)
         );
         ours = [sparse, dense, fresh];
         pool.install(|| workload.dense(&mut out));
@@ -180,8 +183,10 @@ fn measure(workload: &Workload) {
     report_peer(workload, &out[(QUERIES + 2) * 5 * AREA..][..5 * AREA], ours);
 }
 
-fn milliseconds(runs: usize, mut work: impl FnMut()) -> [f64; 2] {
+/// Median, least and mean processor milliseconds (all threads) of several runs after a warm-up.
+fn milliseconds(runs: usize, mut work: impl FnMut()) -> [f64; 3] {
     work();
+    let before = processor_seconds();
     let mut times: Vec<f64> = (0..runs)
         .map(|_| {
             let start = Instant::now();
@@ -189,11 +194,28 @@ fn milliseconds(runs: usize, mut work: impl FnMut()) -> [f64; 2] {
             start.elapsed().as_secs_f64() * 1e3
         })
         .collect();
+    let processor = (processor_seconds() - before) * 1e3 / runs as f64;
     times.sort_by(f64::total_cmp);
-    [times[times.len() / 2], times[0]]
+    [times[times.len() / 2], times[0], processor]
 }
 
-fn report_peer(workload: &Workload, map: &[f32], ours: [[f64; 2]; 3]) {
+fn shown(times: [f64; 3]) -> String {
+    format!("{:.2} / {:.2} / {:.2}", times[0], times[1], times[2])
+}
+
+/// Processor time of all threads of this process so far; NaN where the system does not tell.
+fn processor_seconds() -> f64 {
+    let Ok(threads) = std::fs::read_dir("/proc/self/task") else {
+        return f64::NAN;
+    };
+    let of = |thread: std::io::Result<std::fs::DirEntry>| -> Option<f64> {
+        let text = std::fs::read_to_string(thread.ok()?.path().join("schedstat")).ok()?;
+        Some(text.split(' ').next()?.parse::<f64>().ok()? * 1e-9)
+    };
+    threads.filter_map(of).sum()
+}
+
+fn report_peer(workload: &Workload, map: &[f32], ours: [[f64; 3]; 3]) {
     let Some(python) = std::env::var_os("ROGS_PEER_PYTHON") else {
         println!("  peers skipped: set ROGS_PEER_PYTHON to a Python with numpy");
         return;
@@ -209,11 +231,19 @@ fn report_peer(workload: &Workload, map: &[f32], ours: [[f64; 2]; 3]) {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     for line in String::from_utf8_lossy(&output.stdout).lines() {
         let words: Vec<&str> = line.split_whitespace().collect();
-        let [name, median, least, memory] = words.as_slice() else {
+        let [name, median, least, processor, memory] = words.as_slice() else {
             continue;
         };
         let number = |text: &str| text.parse::<f64>().unwrap_or(f64::NAN);
-        let times = |ours: [f64; 2]| format!("{:.1} ({:.1})", number(median) / ours[0], number(least) / ours[1]);
+        let times = |ours: [f64; 3]| {
+            let [median, least, processor] = [median, least, processor].map(|text| number(text));
+            format!(
+                "{:.1} / {:.1} / {:.1}",
+                median / ours[0],
+                least / ours[1],
+                processor / ours[2]
+            )
+        };
         let theirs = std::fs::read(folder.path().join(format!("{name}.map"))).unwrap_or_default();
         let (theirs, _) = theirs.as_chunks::<4>();
         let worst = theirs
@@ -222,7 +252,7 @@ fn report_peer(workload: &Workload, map: &[f32], ours: [[f64; 2]; 3]) {
             .map(|(a, b)| (f32::from_le_bytes(*a) - b).abs())
             .fold(0.0, f32::max);
         println!(
-            "  {name}: {median} ms (best {least}), {memory} MiB; times as fast: sparse {}, dense {}, dense new {}; differs by {worst:.1e}",
+            "  {name}: {median} / {least} / {processor} ms, {memory} MiB; times as fast: sparse {}, dense {}, dense new {}; differs by {worst:.1e}",
             times(ours[0]),
             times(ours[1]),
             times(ours[2])

@@ -19,6 +19,19 @@ pub(crate) fn seconds(runs: usize, mut work: impl FnMut()) -> (f64, f64) {
     (times[times.len() / 2], times[0])
 }
 
+/// Processor time of all threads of this process so far, seconds: what a busy machine can measure. NaN where the system
+/// does not tell.
+pub(crate) fn processor_seconds() -> f64 {
+    let Ok(threads) = std::fs::read_dir("/proc/self/task") else {
+        return f64::NAN;
+    };
+    let of = |thread: std::io::Result<std::fs::DirEntry>| -> Option<f64> {
+        let text = std::fs::read_to_string(thread.ok()?.path().join("schedstat")).ok()?;
+        Some(text.split(' ').next()?.parse::<f64>().ok()? * 1e-9)
+    };
+    threads.filter_map(of).sum()
+}
+
 /// Peak resident memory of this process, MiB, where the system tells.
 pub(crate) fn peak_memory_mib() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();

@@ -1,8 +1,8 @@
 """Draws one posed mesh scene with other renderers and times them: moderngl and pyrender on llvmpipe, Open3D ray casting.
 
 Called by the bench `mesh` with a folder, the image size and the focal length. The folder holds `corners.f32` ([T, 3, 3],
-camera frame, OpenCV axes, metres) and `links.u8` ([T]). Prints one line a peer, `NAME MEDIAN_MS BEST_MS PEAK_MIB`, and
-writes NAME.depth (float32 camera z) and NAME.link (uint8, 255 = nothing) for comparison.
+camera frame, OpenCV axes, metres) and `links.u8` ([T]). Prints one line a peer, `NAME MEDIAN_MS BEST_MS PROCESSOR_MS PEAK_MIB` (mean
+processor time of all threads), and writes NAME.depth (float32 camera z) and NAME.link (uint8, 255 = nothing) for comparison.
 """
 
 import os
@@ -23,14 +23,16 @@ NEAR, FAR = 0.01, 20.0
 def report(name, draw, runs):
     draw()
     times = []
+    processor = time.process_time()
     for _ in range(runs):
         start = time.perf_counter()
         depth, link = draw()
         times.append((time.perf_counter() - start) * 1e3)
+    processor = (time.process_time() - processor) * 1e3 / runs
     np.ascontiguousarray(depth, np.float32).tofile(os.path.join(folder, name + ".depth"))
     np.ascontiguousarray(link, np.uint8).tofile(os.path.join(folder, name + ".link"))
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"{name} {statistics.median(times):.3f} {min(times):.3f} {memory:.0f}", flush=True)
+    print(f"{name} {statistics.median(times):.3f} {min(times):.3f} {processor:.3f} {memory:.0f}", flush=True)
 
 
 def with_moderngl():
