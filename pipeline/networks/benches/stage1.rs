@@ -17,7 +17,10 @@ const SIZE: [usize; 2] = [154, 280];
 const REPEATS: usize = 3;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let arguments: Vec<String> = std::env::args().skip(1).filter(|text| !text.starts_with("--")).collect();
+    let arguments: Vec<String> = std::env::args()
+        .skip(1)
+        .filter(|text| !text.starts_with("--"))
+        .collect();
     let name = arguments.first().map_or("compact", String::as_str);
     let is_whole = arguments.iter().any(|text| text == "whole");
     let mut config = Stage1Config::by_name(name)?;
@@ -32,10 +35,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         own.push(("whole lifting", whole(&network)?));
     }
     let peer = peer(&config, grid, is_whole)?;
-    println!("{name}, {FRAMES} frames of {} x {} pixels, processor seconds", SIZE[0], SIZE[1]);
+    println!(
+        "{name}, {FRAMES} frames of {} x {} pixels, processor seconds",
+        SIZE[0], SIZE[1]
+    );
     for (part, seconds) in own {
-        match peer.as_ref().and_then(|peer| peer.get(part)).and_then(serde_json::Value::as_f64) {
-            Some(theirs) => println!("{part:24} {seconds:8.3}  PyTorch {theirs:8.3}  {:.2} x as fast", theirs / seconds),
+        match peer
+            .as_ref()
+            .and_then(|peer| peer.get(part))
+            .and_then(serde_json::Value::as_f64)
+        {
+            Some(theirs) => println!(
+                "{part:24} {seconds:8.3}  PyTorch {theirs:8.3}  {:.2} x as fast",
+                theirs / seconds
+            ),
             None => println!("{part:24} {seconds:8.3}"),
         }
     }
@@ -58,11 +71,25 @@ fn parts(network: &Stage1, grid: [usize; 2]) -> Result<Vec<(&'static str, f64)>,
         block("backbone.backbone.frame_blocks.0")?,
         block("backbone.backbone.global_blocks.0")?,
     );
-    let noise = |count: usize| (0..count).map(|k| ((k * 7919) % 1009) as f32 / 504.5 - 1.0).collect::<Vec<f32>>();
-    let input: Tensor<3> = from_host(noise(FRAMES * tokens * config.width), [FRAMES, tokens, config.width], &device);
+    let noise = |count: usize| {
+        (0..count)
+            .map(|k| ((k * 7919) % 1009) as f32 / 504.5 - 1.0)
+            .collect::<Vec<f32>>()
+    };
+    let input: Tensor<3> = from_host(
+        noise(FRAMES * tokens * config.width),
+        [FRAMES, tokens, config.width],
+        &device,
+    );
     let joined = input.clone().reshape([1, FRAMES * tokens, config.width]);
     let patches = grid[0] * grid[1];
-    let tap = || from_host::<3>(noise(patches * 2 * config.width), [1, patches, 2 * config.width], &device);
+    let tap = || {
+        from_host::<3>(
+            noise(patches * 2 * config.width),
+            [1, patches, 2 * config.width],
+            &device,
+        )
+    };
     let encoded = Encoded {
         taps: [tap(), tap(), tap(), tap()],
         grid,
@@ -71,8 +98,14 @@ fn parts(network: &Stage1, grid: [usize; 2]) -> Result<Vec<(&'static str, f64)>,
     let head = network.head(HeadKind::Depth)?;
     let projections = head.projections(None);
     Ok(vec![
-        ("frame block", best(|| drop(frame.forward(input.clone(), Some(&rotary)).to_data()))),
-        ("global block", best(|| drop(global.forward(joined.clone(), Some(&rotary)).to_data()))),
+        (
+            "frame block",
+            best(|| drop(frame.forward(input.clone(), Some(&rotary)).to_data())),
+        ),
+        (
+            "global block",
+            best(|| drop(global.forward(joined.clone(), Some(&rotary)).to_data())),
+        ),
         (
             "dense head, one frame",
             best(|| drop(head.forward(&projections, &encoded.taps, grid, SIZE).to_data())),
@@ -122,7 +155,9 @@ fn peer(
     grid: [usize; 2],
     whole: bool,
 ) -> Result<Option<serde_json::Value>, Box<dyn std::error::Error>> {
-    let Some(python) = std::env::var_os("ROGS_PEER_PYTHON") else { return Ok(None) };
+    let Some(python) = std::env::var_os("ROGS_PEER_PYTHON") else {
+        return Ok(None);
+    };
     let mut job = serde_json::to_value(config)?;
     let more = serde_json::json!({
         "frames": FRAMES, "grid": grid, "size": SIZE, "threads": rayon::current_num_threads(), "repeats": REPEATS,
@@ -132,7 +167,11 @@ fn peer(
         job.extend(more.clone());
     }
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/peers/stage1.py");
-    let mut child = Command::new(python).arg(script).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
+    let mut child = Command::new(python)
+        .arg(script)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()?;
     if let Some(mut stdin) = child.stdin.take() {
         stdin.write_all(job.to_string().as_bytes())?;
     }
