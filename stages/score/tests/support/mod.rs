@@ -20,18 +20,18 @@ use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::records::scores::Scores;
 use rogs_schemas::{Intrinsics, RigidPose, read_record, write_record};
 
-pub const HEIGHT: usize = 24;
-pub const WIDTH: usize = 32;
-pub const FRAMES: usize = 17;
-pub const QUERIES: [u32; 3] = [0, 4, 9];
-pub const STEP_M: f32 = 0.005;
+pub(crate) const HEIGHT: usize = 24;
+pub(crate) const WIDTH: usize = 32;
+pub(crate) const FRAMES: usize = 17;
+pub(crate) const QUERIES: [u32; 3] = [0, 4, 9];
+pub(crate) const STEP_M: f32 = 0.005;
 /// Camera x is base -y, camera y is base -z, camera z is base x: a camera that looks along base x.
-pub const LOOKING_ALONG_X: RigidPose = RigidPose {
+pub(crate) const LOOKING_ALONG_X: RigidPose = RigidPose {
     rotation: [0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0],
     translation: [0.3, 0.1, 0.5],
 };
 
-pub fn intrinsics() -> Intrinsics {
+pub(crate) fn intrinsics() -> Intrinsics {
     Intrinsics {
         fx: 30.0,
         fy: 30.0,
@@ -40,7 +40,7 @@ pub fn intrinsics() -> Intrinsics {
     }
 }
 
-pub fn clip(with_references: bool) -> Clip {
+pub(crate) fn clip(with_references: bool) -> Clip {
     let camera = |id: &str, role, partner, references: bool| ClipCamera {
         id: id.into(),
         role,
@@ -107,7 +107,7 @@ pub fn clip(with_references: bool) -> Clip {
     }
 }
 
-pub fn robot() -> RobotMaps {
+pub(crate) fn robot() -> RobotMaps {
     let map = |frame: u32| {
         let mut link = vec![3u8; HEIGHT * WIDTH];
         link[..2 * WIDTH].fill(NO_LINK);
@@ -133,7 +133,7 @@ pub fn robot() -> RobotMaps {
 }
 
 /// The inverse of the wrist pose.
-pub fn recon_from_base() -> RigidPose {
+pub(crate) fn recon_from_base() -> RigidPose {
     let RigidPose {
         rotation: r,
         translation: t,
@@ -146,7 +146,7 @@ pub fn recon_from_base() -> RigidPose {
     }
 }
 
-pub fn weights() -> WeightsInfo {
+pub(crate) fn weights() -> WeightsInfo {
     WeightsInfo {
         trained: false,
         configuration: "hand".into(),
@@ -156,7 +156,7 @@ pub fn weights() -> WeightsInfo {
 }
 
 /// One Gaussian a pixel, mid grey, about a pixel and a half wide, nearly opaque.
-pub fn field() -> Field {
+pub(crate) fn field() -> Field {
     let n = HEIGHT * WIDTH;
     let mut position_m = Vec::new();
     for row in 0..HEIGHT {
@@ -195,7 +195,7 @@ pub fn field() -> Field {
 }
 
 /// Darkens every Gaussian.
-pub fn refinement(field: &KeyMaterial) -> Refinement {
+pub(crate) fn refinement(field: &KeyMaterial) -> Refinement {
     let n = HEIGHT * WIDTH;
     let mut one = [0.0f32; RESIDUAL_CHANNELS];
     for colour in 0..3 {
@@ -220,14 +220,14 @@ pub fn refinement(field: &KeyMaterial) -> Refinement {
 }
 
 /// Input files of a job, with their keys as the plan would name them.
-pub struct Bench {
-    pub folder: tempfile::TempDir,
-    pub inputs: BTreeMap<String, PathBuf>,
-    pub keys: BTreeMap<String, String>,
+pub(crate) struct Bench {
+    pub(crate) folder: tempfile::TempDir,
+    pub(crate) inputs: BTreeMap<String, PathBuf>,
+    pub(crate) keys: BTreeMap<String, String>,
 }
 
 impl Bench {
-    pub fn new(clip: &Clip) -> Self {
+    pub(crate) fn new(clip: &Clip) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let mut bench = Self {
             folder,
@@ -240,7 +240,7 @@ impl Bench {
         bench
     }
 
-    pub fn add<T: Record>(&mut self, role: &str, record: &T) {
+    pub(crate) fn add<T: Record>(&mut self, role: &str, record: &T) {
         let material = material(role, T::SCHEMA.to_string(), &serde_json::json!({}), BTreeMap::new());
         let path = self.folder.path().join(format!("{role}.r4c"));
         write_record(
@@ -257,7 +257,7 @@ impl Bench {
     }
 
     /// LPIPS weights of a network two channels wide.
-    pub fn add_lpips(&mut self) {
+    pub(crate) fn add_lpips(&mut self) {
         let path = self.folder.path().join("lpips.safetensors");
         std::fs::write(&path, narrow_lpips()).unwrap();
         let hash = rogs_schemas::source::hash_source("lpips", &path).unwrap();
@@ -265,7 +265,7 @@ impl Bench {
         self.inputs.insert("lpips".into(), path);
     }
 
-    pub fn add_refinement(&mut self) {
+    pub(crate) fn add_refinement(&mut self) {
         let field = material(
             "field",
             Field::SCHEMA.to_string(),
@@ -276,7 +276,11 @@ impl Bench {
     }
 
     /// Runs one job and returns the last event and the scores, if there are any.
-    pub fn run(&self, params: &serde_json::Value, threads: &str) -> (serde_json::Value, Option<Scores>, Vec<u8>) {
+    pub(crate) fn run(
+        &self,
+        params: &serde_json::Value,
+        threads: &str,
+    ) -> (serde_json::Value, Option<Scores>, Vec<u8>) {
         let output = self.folder.path().join("scores.r4c");
         let _ = std::fs::remove_file(&output);
         let filled: rogs_score::ScoreParams = serde_json::from_value(params.clone()).unwrap();
@@ -307,7 +311,7 @@ impl Bench {
 }
 
 /// A weights file of VGG16's layout, two channels wide, with made-up values.
-pub fn narrow_lpips() -> Vec<u8> {
+pub(crate) fn narrow_lpips() -> Vec<u8> {
     let value = |seed: usize| ((seed * 37 % 17) as f32 - 7.5) / 10.0;
     let mut tensors: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
     let mut add = |name: String, shape: Vec<usize>, values: Vec<f32>| {
@@ -329,11 +333,11 @@ pub fn narrow_lpips() -> Vec<u8> {
     safetensors::serialize(views, None).unwrap()
 }
 
-pub fn scores(path: &Path) -> Option<Scores> {
+pub(crate) fn scores(path: &Path) -> Option<Scores> {
     path.exists().then(|| read_record::<Scores>(path).unwrap().0)
 }
 
-pub fn material(
+pub(crate) fn material(
     stage: &str,
     schema: String,
     params: &serde_json::Value,
