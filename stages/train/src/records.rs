@@ -2,7 +2,9 @@
 //! hold the training clips against the stages themselves.
 
 use glam::DVec3;
-use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, SourceView};
+use rogs_schemas::records::clip::{
+    CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, SourceView, Tracks,
+};
 use rogs_schemas::records::conditioning::{Conditioning, ViewConditioning};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::units::UNITS_PER_METRE;
@@ -43,7 +45,7 @@ impl Maker<'_> {
         wanted.dedup();
         let mut rgb = vec![vec![0u8; 3 * area * frames]; CAMERAS];
         let mut depth = vec![vec![f32::NAN; area * frames]; CAMERAS];
-        let mut sources = Vec::new();
+        let mut sources: Vec<Vec<View>> = Vec::new();
         for &frame in &wanted {
             let views = self.episode.render_frame(self.frame(frame)).views;
             for (camera, view) in views.iter().enumerate() {
@@ -103,9 +105,31 @@ impl Maker<'_> {
                 positions: states.clone().flat_map(|state| state.joints).collect(),
                 gripper: states.map(|state| state.gripper).collect(),
             },
-            tracks: None,
+            tracks: Some(self.tracks(&sources[0])),
         };
         (clip, sources)
+    }
+
+    /// Tracks that start at the first source time; `anchor` are the pictures of the source cameras then.
+    fn tracks(&self, anchor: &[View]) -> Tracks {
+        let all = self.episode.tracks(anchor);
+        let (first, frames) = (self.plan.first as usize, self.data.clip_frames as usize);
+        let episode_frames = self.episode.frame_count();
+        let cut = |values: &[f32], per: usize| -> Vec<f32> {
+            values
+                .chunks_exact(per * episode_frames)
+                .flat_map(|track| track[per * first..per * (first + frames)].iter().copied())
+                .collect()
+        };
+        Tracks {
+            anchor_frame: self.plan.sources[0],
+            camera: all.camera,
+            pixel: all.pixel.iter().flatten().map(|&place| place as f32).collect(),
+            position_m: cut(&all.position_m, 3),
+            visible: (all.visible.chunks_exact(episode_frames))
+                .flat_map(|track| track[first..first + frames].iter().copied())
+                .collect(),
+        }
     }
 
     fn robot(&self, clip: &Clip, sources: &[Vec<View>]) -> RobotMaps {

@@ -128,6 +128,9 @@ pub fn run<C: Course>(course: &mut C, root: &Path, stop_after: Option<u64>, say:
     if course.step() == 0 && folder.lines("metrics.jsonl")?.is_empty() {
         scored(course, &folder, &clock, say)?;
     }
+    if course.step() >= last {
+        return Ok(());
+    }
     let mut stream = course.stream()?;
     while course.step() < last {
         let Some(batch) = stream.next_item() else { break };

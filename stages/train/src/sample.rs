@@ -182,6 +182,7 @@ impl ClipPlan {
                 external: data.size,
             },
             calibration_noise: data.calibration_noise,
+            anchor_frame: Some(self.first + self.sources[0]),
             ..SynthConfig::default()
         };
         Ok(generate_episode(&config, self.seed)?)

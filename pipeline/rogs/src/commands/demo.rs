@@ -41,9 +41,10 @@ struct DemoOutcome {
     table: Table,
 }
 
-/// Frames of an episode and size of its images: those of the paper's evaluation.
+/// Frames of an episode.
 const FRAMES: u32 = 33;
-const SIZE: [u32; 2] = [154, 280];
+/// Height and width of its images: those that the built-in checkpoint was trained on.
+const SIZE: [u32; 2] = [84, 154];
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     output::note(&format!(

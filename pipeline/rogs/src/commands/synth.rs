@@ -15,6 +15,9 @@ use crate::output;
 /// Name of the manifest beside a dataset.
 pub(crate) const MANIFEST_NAME: &str = "manifest.toml";
 
+/// Name of the built-in Stage-1 checkpoint beside the manifest.
+const WEIGHTS_NAME: &str = "compact-stage1.safetensors";
+
 /// Makes procedural robot episodes with exact depth, tracks and calibration, and `manifest.toml` to run them.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -65,7 +68,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes a dataset and its manifest; both are kept when they are there.
+/// Writes a dataset, the built-in weights and a manifest; all are kept when they are there.
 pub(crate) fn make(
     folder: &Path,
     name: &str,
@@ -86,6 +89,8 @@ pub(crate) fn make(
     let summary = write_dataset_with(folder, episodes, seed, &config, &done)?;
     let manifest = folder.join(MANIFEST_NAME);
     if !manifest.exists() {
+        let weights = folder.join(WEIGHTS_NAME);
+        rogs_schemas::atomic::write_bytes(&weights, rogs_lift::COMPACT_WEIGHTS)?;
         let text = manifest_text(folder, name, size)?;
         rogs_schemas::atomic::write_bytes(&manifest, text.as_bytes())?;
     }
@@ -102,7 +107,9 @@ fn manifest_text(folder: &Path, name: &str, [height, width]: [u32; 2]) -> anyhow
          [input]\nroot = \"{EPISODES_FOLDER}\"\n\n\
          [robot]\nurdf = \"{ROBOT_FOLDER}/{ROBOT_URDF_FILE}\"\n\n\
          [robot.spec]\n{}\n\
-         [ingest]\nheight = {height}\nwidth = {width}\n",
+         [ingest]\nheight = {height}\nwidth = {width}\n\n\
+         # The checkpoint that comes with the program; `rogs weights list` says how it was trained.\n\
+         [weights]\nlift = \"{WEIGHTS_NAME}\"\n",
         toml::to_string(&spec)?
     ))
 }
