@@ -340,7 +340,8 @@ fn sbatch(command: &[String]) -> Result<String> {
     })?;
     if !output.status.success() {
         return Err(error(format!(
-            "refused: {}",
+            "refused ({}): {}",
+            output.status,
             String::from_utf8_lossy(&output.stderr).trim()
         )));
     }

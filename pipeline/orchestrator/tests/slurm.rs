@@ -1,0 +1,303 @@
+//! The Slurm back-end on a real Slurm on this host.
+
+#[path = "common/cluster.rs"]
+mod cluster;
+mod common;
+
+use std::process::Command;
+use std::sync::Arc;
+
+use cluster::{Cluster, wait_until};
+use common::{Workspace, example, programs, walk};
+use rogs_orchestrator::{Exit, export, status};
+
+/// One clip a shard, so that shard `i` is clip `a`, `b`, `c`; every stage small, `lift` with a pretended GPU.
+const SLURM: &str = "[slurm]\nshards = 3\nextra = [\"--export=ALL\"]\n[slurm.gres]\nlift = \"gpu:1\"\n[slurm.memory]\n\
+                     ingest = \"150 MiB\"\nrobot-maps = \"150 MiB\"\nconditioning = \"150 MiB\"\nlift = \"150 MiB\"\n\
+                     refine = \"150 MiB\"\nscore = \"150 MiB\"\n";
+
+/// Stages in the order in which they are submitted.
+const STAGES: [&str; 6] = ["ingest", "robot-maps", "conditioning", "lift", "refine", "score"];
+
+/// A workspace on a cluster.
+struct Site {
+    workspace: Workspace,
+    cluster: Arc<Cluster>,
+    control: tempfile::TempDir,
+}
+
+/// What a submission printed.
+struct Submitted {
+    ids: Vec<String>,
+    shards: Vec<u64>,
+}
+
+impl Submitted {
+    /// The array of a stage.
+    fn id(&self, stage: &str) -> &str {
+        &self.ids[STAGES.iter().position(|name| *name == stage).unwrap()]
+    }
+}
+
+impl Site {
+    /// `None` where there is no Slurm; the reason is printed.
+    fn new() -> Option<Self> {
+        let cluster = Cluster::get()?;
+        let workspace = Workspace::new();
+        workspace.manifest(SLURM);
+        Some(Self {
+            workspace,
+            cluster,
+            control: tempfile::tempdir().unwrap(),
+        })
+    }
+
+    /// Submits what is left, in a process with this cluster's environment; `hold` as in `examples/toy_pipeline.rs`.
+    fn submit(&self, hold: &str) -> Submitted {
+        let output = Command::new(example("toy_pipeline"))
+            .arg("submit")
+            .arg(self.workspace.path("toy.toml"))
+            .args(["1", "1"])
+            .env("SLURM_CONF", self.cluster.configuration())
+            .env("ROGS_TOY_FINALLY", "1")
+            .env("ROGS_TOY_HOLD", hold)
+            .env("ROGS_TOY_FOLDER", self.control.path())
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let value: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let list = |name: &str| value[name].as_array().unwrap().clone();
+        Submitted {
+            ids: list("ids").iter().map(|id| id.as_str().unwrap().to_owned()).collect(),
+            shards: list("shards").iter().map(|shard| shard.as_u64().unwrap()).collect(),
+        }
+    }
+
+    /// Submits and waits for the end of all jobs.
+    fn submit_and_wait(&self) -> Submitted {
+        let submitted = self.submit("");
+        self.cluster.wait_for(&submitted.ids);
+        submitted
+    }
+
+    /// Process number of the worker that stands at the place that `submit` named.
+    fn held(&self) -> String {
+        let held = self.control.path().join("held");
+        wait_until("a worker to get to its place", || held.exists());
+        std::fs::read_to_string(held).unwrap()
+    }
+
+    fn status(&self) -> status::Status {
+        status::status(&self.workspace.run_folder()).unwrap()
+    }
+
+    /// What an element of a stage's array wrote.
+    fn log(&self, stage: &str, id: &str, shard: u64) -> String {
+        let name = format!("slurm/logs/rogs-toy-{stage}_{id}_{shard}.out");
+        std::fs::read_to_string(self.workspace.run_folder().join(name)).unwrap_or_default()
+    }
+
+    /// Output files with the times of their last change.
+    fn times(&self) -> Vec<(std::path::PathBuf, std::time::SystemTime)> {
+        let mut times = Vec::new();
+        walk(&self.workspace.run_folder(), &mut |path| {
+            if path.extension().is_some_and(|extension| extension == "r4c") {
+                times.push((path.to_owned(), path.metadata().unwrap().modified().unwrap()));
+            }
+        });
+        times
+    }
+}
+
+#[test]
+#[ignore = "long: real Slurm"]
+fn slurm_local_and_exported_plans_give_the_same_bytes() {
+    let Some(site) = Site::new() else { return };
+    let submitted = site.submit_and_wait();
+    assert_eq!((submitted.ids.len(), &submitted.shards[..]), (7, &[0, 1, 2][..]));
+    let status = site.status();
+    assert_eq!((status.exit, status.clips.done), (Exit::Done, 3), "{}", status.table());
+    // Every element has a log, every clip its own.
+    for stage in STAGES {
+        for shard in 0..3 {
+            let log = site.log(stage, submitted.id(stage), shard);
+            assert!(
+                log.contains(&format!("{stage} shard {shard}: ")),
+                "{stage} {shard}: `{log}`"
+            );
+        }
+    }
+    for clip in ["a", "b", "c"] {
+        let attempts = rogs_orchestrator::logs::logs(&site.workspace.run_folder(), clip).unwrap();
+        assert_eq!(attempts.len(), 7, "{clip}");
+    }
+    // The job behind all arrays ran last.
+    let last = site.workspace.run_folder().join("final.txt");
+    assert!(std::fs::read_to_string(last).unwrap().contains("3 of 3 clips done"));
+
+    let (local, exported) = (Workspace::new(), Workspace::new());
+    local.run();
+    let plan = exported.prepare().plan;
+    let export = export::export(&plan, &programs(), 2, &exported.path("units.jsonl")).unwrap();
+    for command in &export.commands {
+        assert!(
+            Command::new(&command[0])
+                .args(&command[1..])
+                .output()
+                .unwrap()
+                .status
+                .success()
+        );
+    }
+    let expected = local.outputs();
+    assert!(site.workspace.outputs() == expected, "Slurm differs from local");
+    assert!(exported.outputs() == expected, "an exported plan differs from local");
+}
+
+#[test]
+#[ignore = "long: real Slurm"]
+fn one_corrupt_episode_leaves_the_others_alone_and_the_next_submission_is_sparse() {
+    let Some(site) = Site::new() else { return };
+    site.workspace.episode("b", "fail@lift");
+    let submitted = site.submit_and_wait();
+    let status = site.status();
+    assert_eq!((status.clips.done, status.clips.failed), (2, 1), "{}", status.table());
+    assert_eq!(status.failures[0].failure.hint.as_deref(), Some("edit the episode"));
+    // What follows the failure is blocked, not lost; the last stage of the shard tells by its exit status.
+    assert_eq!(status.nodes[4].blocked, 1, "{}", status.table());
+    assert!(
+        site.cluster
+            .job(&format!("{}_1", submitted.id("score")))
+            .contains("ExitCode=1:0")
+    );
+    assert!(
+        site.cluster
+            .job(&format!("{}_0", submitted.id("score")))
+            .contains("ExitCode=0:0")
+    );
+    let last = site.workspace.run_folder().join("final.txt");
+    assert!(
+        std::fs::read_to_string(last)
+            .unwrap()
+            .contains("2 of 3 clips done, 1 failed")
+    );
+    // Mended: one shard, and nothing of the others is touched.
+    let before = site.times();
+    site.workspace.episode("b", "mended");
+    let again = site.submit_and_wait();
+    assert_eq!(again.shards, [1]);
+    assert_eq!(site.status().clips.done, 3);
+    let after = site.times();
+    let others = before
+        .iter()
+        .filter(|(path, _)| !path.to_string_lossy().contains("clips/b/"));
+    assert!(others.clone().count() == 14 && others.into_iter().all(|file| after.contains(file)));
+}
+
+#[test]
+#[ignore = "long: real Slurm"]
+fn a_killed_task_loses_one_unit_and_nothing_done_is_made_again() {
+    let Some(site) = Site::new() else { return };
+    let submitted = site.submit("b@lift@begin");
+    let worker = site.held();
+    assert!(
+        Command::new("sh")
+            .args(["-c", &format!("kill -s KILL {worker}")])
+            .status()
+            .unwrap()
+            .success()
+    );
+    site.cluster.wait_for(&submitted.ids);
+    let lost = site.cluster.job(&format!("{}_1", submitted.id("lift")));
+    assert!(lost.contains("ExitCode=0:9"), "{lost}");
+    // The dependents of the lost element are cancelled instead of waiting for ever.
+    let dependent = site.cluster.job(&format!("{}_1", submitted.id("refine")));
+    assert!(dependent.contains("JobState=CANCELLED"), "{dependent}");
+    let status = site.status();
+    assert_eq!((status.clips.done, status.clips.failed), (2, 0), "{}", status.table());
+    let before = site.times();
+    assert_eq!(before.len(), 17);
+    let again = site.submit_and_wait();
+    assert_eq!(again.shards, [1]);
+    assert_eq!(site.status().exit, Exit::Done);
+    let after = site.times();
+    assert!(
+        before.iter().all(|file| after.contains(file)),
+        "something was made twice"
+    );
+    let expected = Workspace::new();
+    expected.run();
+    assert!(site.workspace.outputs() == expected.outputs());
+}
+
+#[test]
+#[ignore = "long: real Slurm"]
+fn a_drained_task_ends_with_75_leaves_nothing_behind_and_goes_on() {
+    let Some(site) = Site::new() else { return };
+    let submitted = site.submit("b@conditioning@begin");
+    site.held();
+    let element = format!("{}_1", submitted.id("conditioning"));
+    site.cluster.ask("scancel", &["--signal=TERM", "--batch", &element]);
+    // The signal is there when the worker goes on: its next look at the world is the end of the unit.
+    std::fs::write(site.control.path().join("release"), "").unwrap();
+    site.cluster.wait_for(&submitted.ids);
+    let drained = site.cluster.job(&element);
+    assert!(
+        drained.contains("ExitCode=75:0") || drained.contains("ExitCode=0:0"),
+        "{drained}"
+    );
+    assert!(site.workspace.temporaries().is_empty());
+    let status = site.status();
+    assert_eq!(status.clips.failed, 0, "{}", status.table());
+    if drained.contains("ExitCode=75:0") {
+        assert_eq!(status.clips.done, 2, "{}", status.table());
+        assert_eq!(site.submit_and_wait().shards, [1]);
+    }
+    assert_eq!(site.status().exit, Exit::Done);
+}
+
+#[test]
+#[ignore = "long: real Slurm"]
+fn a_shard_that_runs_out_of_memory_gets_more_the_next_time() {
+    let Some(site) = Site::new() else { return };
+    site.workspace.episode("c", "memory@lift");
+    let script = site.workspace.run_folder().join("slurm/lift.sbatch");
+    let asked = || {
+        let text = std::fs::read_to_string(&script).unwrap();
+        text.lines()
+            .find_map(|line| line.strip_prefix("#SBATCH --mem=").map(str::to_owned))
+            .unwrap()
+    };
+    let mut tries = Vec::new();
+    let first = site.submit_and_wait();
+    tries.push((asked(), site.status().clips.done));
+    let log = site.log("lift", first.id("lift"), 2);
+    assert!(log.contains("memory limit"), "`{log}`");
+    for _ in 0..2 {
+        assert_eq!(site.submit_and_wait().shards, [2]);
+        tries.push((asked(), site.status().clips.done));
+    }
+    let tries: Vec<(&str, usize)> = tries.iter().map(|(memory, done)| (memory.as_str(), *done)).collect();
+    assert_eq!(tries, [("150M", 2), ("300M", 2), ("600M", 3)]);
+}
+
+#[test]
+#[ignore = "long: real Slurm"]
+fn a_unit_whose_predecessor_vanished_names_the_input_it_lacks() {
+    let Some(site) = Site::new() else { return };
+    site.submit_and_wait();
+    let run = site.workspace.run_folder();
+    for file in ["conditioning.r4c", "field-1.r4c"] {
+        std::fs::remove_file(run.join("clips/b").join(file)).unwrap();
+    }
+    // Slurm takes a dependency on a job that it does not know, and starts at once.
+    let script = run.join("slurm/lift.sbatch").display().to_string();
+    let id = site
+        .cluster
+        .ask("sbatch", &["--parsable", "--dependency=afterok:4000000", &script]);
+    site.cluster.wait_for(std::slice::from_ref(&id));
+    let log = site.log("lift", &id, 1);
+    assert!(log.contains("b lift: blocked: its input `conditioning` ("), "`{log}`");
+    assert!(log.contains("0 made, 0 up to date, 0 failed, 1 blocked"), "`{log}`");
+    assert!(!run.join("clips/b/field-1.r4c").exists());
+}
