@@ -56,7 +56,9 @@ impl Workspace {
             if line.starts_with("out = ") {
                 line.clone_from(&out);
             }
-            *line = line.replace("urdf = \"", "urdf = \"data/");
+            *line = line
+                .replace("urdf = \"", "urdf = \"data/")
+                .replace("lift = \"", "lift = \"data/");
         }
         // One update: the tests are about files, not about quality.
         self.write(name, &(lines.join("\n") + "\n[refine]\nupdates = 1\n"));
