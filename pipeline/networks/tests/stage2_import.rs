@@ -79,7 +79,8 @@ fn the_released_model_is_imported_whole_with_every_shape_checked() {
         folder.path().join("ours.safetensors"),
     );
     let model = ReleasedModel::Re10k;
-    let write_with = |change: &dyn Fn(&mut std::collections::BTreeMap<String, Vec<usize>>)| {
+    type Shapes = std::collections::BTreeMap<String, Vec<usize>>;
+    let write_with = |change: &dyn Fn(&mut Shapes)| {
         let mut tensors = model.tensors();
         // Wide tensors of the backbone are the bulk of half a gigabyte; names and shapes are what is tested here.
         tensors.retain(|_, shape| shape.iter().product::<usize>() < 300_000);

@@ -159,8 +159,11 @@ fn adapter(folder: &Path, width: usize) -> Parameters {
     open_adapter(&path, &Device::flex()).unwrap()
 }
 
+/// What a test does to metadata and tensors of a latents file before it is written.
+type Change<'a> = &'a dyn Fn(&mut BTreeMap<String, String>, &mut Vec<TensorSource<'static>>);
+
 /// A latents file of one region per camera, 2 x 2 latents each unless changed.
-fn latents(folder: &Path, change: &dyn Fn(&mut BTreeMap<String, String>, &mut Vec<TensorSource<'static>>)) -> PathBuf {
+fn latents(folder: &Path, change: Change<'_>) -> PathBuf {
     let path = folder.join("latents.safetensors");
     let pairs = [
         (KIND, LATENTS),

@@ -250,7 +250,7 @@ impl Stage1Training {
             optimiser.fk_rate,
             optimiser.weight_decay,
         ];
-        if rates.iter().any(|rate| !(0.0..=1.0).contains(rate)) || !(optimiser.clip > 0.0) {
+        if rates.iter().any(|rate| !(0.0..=1.0).contains(rate)) || optimiser.clip.is_nan() || optimiser.clip <= 0.0 {
             return wrong(
                 "optimiser",
                 format!("{rates:?}"),

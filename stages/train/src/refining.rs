@@ -227,7 +227,7 @@ impl Stage2Training {
             return wrong("losses", format!("{weights:?}"), "finite and not negative");
         }
         let numbers = [self.rate, self.gate_rate, self.weight_decay];
-        if numbers.iter().any(|number| !(0.0..=10.0).contains(number)) || !(self.clip > 0.0) {
+        if numbers.iter().any(|number| !(0.0..=10.0).contains(number)) || self.clip.is_nan() || self.clip <= 0.0 {
             return wrong("rate", format!("{numbers:?}"), "from 0 to 10, with a positive clip");
         }
         self.data.check(14)
