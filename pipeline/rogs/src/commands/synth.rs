@@ -108,7 +108,7 @@ fn manifest_text(folder: &Path, name: &str, [height, width]: [u32; 2]) -> anyhow
          [robot]\nurdf = \"{ROBOT_FOLDER}/{ROBOT_URDF_FILE}\"\n\n\
          [robot.spec]\n{}\n\
          [ingest]\nheight = {height}\nwidth = {width}\n\n\
-         # The checkpoint that comes with the program; `rogs weights list` says how it was trained.\n\
+         # The checkpoint that comes with the program: a compact Stage 1, trained on procedural clips only.\n\
          [weights]\nlift = \"{WEIGHTS_NAME}\"\n",
         toml::to_string(&spec)?
     ))
