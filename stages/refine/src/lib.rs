@@ -30,7 +30,7 @@ use rogs_worker::{Context, Stage, StageError, StageResult};
 
 pub use params::{MOST_UPDATES, RefineParams};
 pub use refinement::{ClipInputs, refine};
-pub use weights::{LoadedRefiner, load_refiner};
+pub use weights::{CI_WEIGHTS, LoadedRefiner, load_refiner};
 
 /// The stage.
 pub struct Refine {

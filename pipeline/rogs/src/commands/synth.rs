@@ -15,8 +15,9 @@ use crate::output;
 /// Name of the manifest beside a dataset.
 pub(crate) const MANIFEST_NAME: &str = "manifest.toml";
 
-/// Name of the built-in Stage-1 checkpoint beside the manifest.
-const WEIGHTS_NAME: &str = "compact-stage1.safetensors";
+/// Names of the built-in checkpoints beside the manifest.
+const LIFT_WEIGHTS: &str = "compact-stage1.safetensors";
+const REFINE_WEIGHTS: &str = "ci-stage2.safetensors";
 
 /// Makes procedural robot episodes with exact depth, tracks and calibration, and `manifest.toml` to run them.
 #[derive(Debug, clap::Args)]
@@ -89,8 +90,12 @@ pub(crate) fn make(
     let summary = write_dataset_with(folder, episodes, seed, &config, &done)?;
     let manifest = folder.join(MANIFEST_NAME);
     if !manifest.exists() {
-        let weights = folder.join(WEIGHTS_NAME);
-        rogs_schemas::atomic::write_bytes(&weights, rogs_lift::COMPACT_WEIGHTS)?;
+        for (weights, bytes) in [
+            (LIFT_WEIGHTS, rogs_lift::COMPACT_WEIGHTS),
+            (REFINE_WEIGHTS, rogs_refine::CI_WEIGHTS),
+        ] {
+            rogs_schemas::atomic::write_bytes(&folder.join(weights), bytes)?;
+        }
         let text = manifest_text(folder, name, size)?;
         rogs_schemas::atomic::write_bytes(&manifest, text.as_bytes())?;
     }
@@ -108,8 +113,9 @@ fn manifest_text(folder: &Path, name: &str, [height, width]: [u32; 2]) -> anyhow
          [robot]\nurdf = \"{ROBOT_FOLDER}/{ROBOT_URDF_FILE}\"\n\n\
          [robot.spec]\n{}\n\
          [ingest]\nheight = {height}\nwidth = {width}\n\n\
-         # The checkpoint that comes with the program: a compact Stage 1, trained on procedural clips only.\n\
-         [weights]\nlift = \"{WEIGHTS_NAME}\"\n",
+         # The checkpoints that come with the program, trained on procedural clips only.\n\
+         [weights]\nlift = \"{LIFT_WEIGHTS}\"\nrefine = \"{REFINE_WEIGHTS}\"\n\n\
+         [refine]\npreset = \"ci\"\nupdates = 4\n",
         toml::to_string(&spec)?
     ))
 }
