@@ -69,10 +69,7 @@ pub fn sweep(folder: &Path) -> Result<Vec<PathBuf>> {
     }
     for entry in std::fs::read_dir(folder).map_err(io("listing", folder))? {
         let path = entry.map_err(io("listing", folder))?.path();
-        let Some(writer) = path.file_name().and_then(|name| writer_of(name.to_str()?)) else {
-            continue;
-        };
-        if may_be_writing(writer, &path) {
+        if !is_left_behind(&path) {
             continue;
         }
         match std::fs::remove_file(&path) {
@@ -83,6 +80,13 @@ pub fn sweep(folder: &Path) -> Result<Vec<PathBuf>> {
     }
     removed.sort();
     Ok(removed)
+}
+
+/// True for a temporary file of [`write_with`] whose writer is gone. Without a `/proc` no writer is known to be gone.
+#[must_use]
+pub fn is_left_behind(path: &Path) -> bool {
+    let writer = path.file_name().and_then(|name| writer_of(name.to_str()?));
+    writer.is_some_and(|writer| Path::new("/proc/self").exists() && !may_be_writing(writer, path))
 }
 
 /// Whether the process of that number can be the one that writes the file: it runs, and did so before the last change of

@@ -1,6 +1,6 @@
 //! Removing what no plan needs any more.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -35,7 +35,16 @@ pub fn collect(run: &Path, dry_run: bool) -> Result<Collected> {
         ..Collected::default()
     };
     let clips = plan.run.join("clips");
-    visit(&plan, &clips, 0, &needed, &mut found)?;
+    let known: HashSet<&str> = plan.clips.iter().map(|clip| clip.id.as_str()).collect();
+    let mut sweep = Sweep {
+        run: &plan.run,
+        needed: &needed,
+        known: &known,
+        found: &mut found,
+    };
+    sweep.clips(&clips, 0)?;
+    // Beside the clips: the plan, the manifest, the ledgers, the job scripts, the report.
+    sweep.left_behind(&plan.run, 0)?;
     found.files.sort();
     if !dry_run {
         for file in &found.files {
@@ -58,47 +67,66 @@ fn needed(plan: &Plan) -> BTreeSet<PathBuf> {
     (0..plan.clips.len()).flat_map(of_clip).collect()
 }
 
-/// Clip folders are at depth 1, folders named by a key at depth 2; nothing of ours lies deeper.
-fn visit(plan: &Plan, folder: &Path, depth: usize, needed: &BTreeSet<PathBuf>, found: &mut Collected) -> Result<()> {
-    let entries = match std::fs::read_dir(folder) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),
-        other => other.map_err(io("cannot list", folder))?,
-    };
-    let known = plan
-        .clips
-        .iter()
-        .any(|clip| folder.file_name().is_some_and(|name| name == clip.id.as_str()));
-    for entry in entries {
-        let entry = entry.map_err(io("cannot list", folder))?;
-        let (path, kind) = (entry.path(), entry.file_type().map_err(io("cannot list", folder))?);
-        if kind.is_dir() && depth < 2 {
-            visit(plan, &path, depth + 1, needed, found)?;
-        }
-        if !kind.is_file() || depth == 0 {
-            continue;
-        }
-        let name = entry.file_name().to_string_lossy().into_owned();
-        let relative = path.strip_prefix(&plan.run).unwrap_or(&path).to_owned();
-        let left_over = name.starts_with('.') && name.ends_with(".tmp") && writer_is_gone(&name);
-        let not_needed = name.ends_with(".r4c") && !name.starts_with('.') && !needed.contains(&relative);
-        // The log of a clip that is in no plan any more.
-        let orphan_log = name == LOG_FILE && depth == 1 && !known;
-        if left_over || not_needed || orphan_log {
-            found.bytes += entry.metadata().map_or(0, |file| file.len());
-            found.files.push(relative);
-        }
-    }
-    Ok(())
+/// What a look through a run folder needs to know, and what it found.
+struct Sweep<'a> {
+    run: &'a Path,
+    needed: &'a BTreeSet<PathBuf>,
+    known: &'a HashSet<&'a str>,
+    found: &'a mut Collected,
 }
 
-/// A temporary file is named `.NAME.PID.tmp` or `.NAME.PID-N.tmp`.
-fn writer_is_gone(name: &str) -> bool {
-    let id = name
-        .trim_end_matches(".tmp")
-        .rsplit('.')
-        .next()
-        .and_then(|part| part.split('-').next()?.parse::<u32>().ok());
-    id.is_some_and(|id| Path::new("/proc/self").exists() && !Path::new("/proc").join(id.to_string()).exists())
+impl Sweep<'_> {
+    /// Clip folders are at depth 1, folders named by a key at depth 2; nothing of ours lies deeper.
+    fn clips(&mut self, folder: &Path, depth: usize) -> Result<()> {
+        let name = folder.file_name().and_then(|name| name.to_str());
+        let known = name.is_some_and(|name| self.known.contains(name));
+        for entry in list(folder)? {
+            let (path, kind) = (entry.path(), entry.file_type().map_err(io("cannot list", folder))?);
+            if kind.is_dir() && depth < 2 {
+                self.clips(&path, depth + 1)?;
+            }
+            if !kind.is_file() || depth == 0 {
+                continue;
+            }
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let relative = path.strip_prefix(self.run).unwrap_or(&path);
+            let not_needed = name.ends_with(".r4c") && !name.starts_with('.') && !self.needed.contains(relative);
+            // The log of a clip that is in no plan any more.
+            let orphan_log = name == LOG_FILE && depth == 1 && !known;
+            if not_needed || orphan_log || rogs_schemas::atomic::is_left_behind(&path) {
+                self.take(&path, &entry);
+            }
+        }
+        Ok(())
+    }
+
+    /// Only what killed writers left, outside of `clips`.
+    fn left_behind(&mut self, folder: &Path, depth: usize) -> Result<()> {
+        for entry in list(folder)? {
+            let (path, kind) = (entry.path(), entry.file_type().map_err(io("cannot list", folder))?);
+            if kind.is_dir() && depth < 1 && entry.file_name() != "clips" {
+                self.left_behind(&path, depth + 1)?;
+            } else if kind.is_file() && rogs_schemas::atomic::is_left_behind(&path) {
+                self.take(&path, &entry);
+            }
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, path: &Path, entry: &std::fs::DirEntry) {
+        self.found.bytes += entry.metadata().map_or(0, |file| file.len());
+        self.found
+            .files
+            .push(path.strip_prefix(self.run).unwrap_or(path).to_owned());
+    }
+}
+
+/// Entries of a folder; none when it is not there.
+fn list(folder: &Path) -> Result<Vec<std::fs::DirEntry>> {
+    match std::fs::read_dir(folder) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Vec::new()),
+        other => other.and_then(Iterator::collect).map_err(io("cannot list", folder)),
+    }
 }
 
 fn remove_empty(folder: &Path, depth: usize) {
