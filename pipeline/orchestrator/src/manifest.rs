@@ -34,6 +34,9 @@ pub struct Manifest {
     /// Files with network weights. Without one a network runs with seeded weights, which lift nothing; the report says so.
     #[serde(default)]
     pub weights: Weights,
+    /// Latents of a video tokenizer, for runs and variants whose `lift` has `tokens = "latents"`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub latents: Option<Latents>,
     /// Parameters of `ingest`.
     #[serde(default)]
     pub ingest: Params,
@@ -159,6 +162,18 @@ pub struct Weights {
     /// LPIPS weights for scoring.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lpips: Option<PathBuf>,
+    /// Adapter that makes Stage-1 tokens of latents; read where `lift` has `tokens = "latents"`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<PathBuf>,
+}
+
+/// Latents of a video tokenizer, one file a clip. `docs/latents-format.md` says what lies in it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Latents {
+    /// The folder that holds `CLIP.safetensors` for every clip, named by the clip's id. A clip without one fails where
+    /// latents are asked for; everything else goes on.
+    pub root: PathBuf,
 }
 
 /// What a variant does differently. Parameters are laid over those of the run, name by name.
@@ -355,10 +370,16 @@ impl Manifest {
         self.predictions
             .iter_mut()
             .for_each(|prediction| fix(&mut prediction.root));
+        self.latents.iter_mut().for_each(|latents| fix(&mut latents.root));
         let weights =
             std::iter::once(&mut self.weights).chain(self.variants.iter_mut().map(|variant| &mut variant.weights));
         for weights in weights {
-            for path in [&mut weights.lift, &mut weights.refine, &mut weights.lpips] {
+            for path in [
+                &mut weights.lift,
+                &mut weights.refine,
+                &mut weights.lpips,
+                &mut weights.adapter,
+            ] {
                 fix_some(path);
             }
         }
@@ -477,6 +498,7 @@ impl Weights {
             ("lift", "weights") => self.lift.as_ref(),
             ("refine", "weights") => self.refine.as_ref(),
             ("score", "lpips") => self.lpips.as_ref(),
+            ("lift", "adapter") => self.adapter.as_ref(),
             _ => None,
         }
     }

@@ -224,7 +224,7 @@ fn lift_jointly(
         TokenSource::Latents => {
             let missing = |what: &str| {
                 StageError::bad_input(format!("`tokens = \"latents\"` needs the input `{what}`"))
-                    .with_hint("name a file for it, or set `tokens` to \"rgb\"")
+                    .with_hint("name a file for it (in a run: CLIP.safetensors in the [latents] folder), or set `tokens` to \"rgb\"")
             };
             let path = latents.ok_or_else(|| missing("latents"))?;
             let adapter = adapter.ok_or_else(|| missing("adapter"))?;

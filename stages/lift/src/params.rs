@@ -35,10 +35,8 @@ pub struct LiftParams {
     /// Whether the field keeps what is needed to be asked at other times.
     pub query_state: QueryState,
     /// What patch tokens are made from.
-    #[serde(skip_serializing_if = "TokenSource::is_rgb")]
     pub tokens: TokenSource,
     /// Pixels per latent that the latents must have (8 or 16); null for what their file says.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub latent_stride: Option<u32>,
 }
 
@@ -51,12 +49,6 @@ pub enum TokenSource {
     /// Latents of a video tokenizer (input `latents`) through the adapter (input `adapter`). Decoded images are still
     /// needed for the colour shortcut.
     Latents,
-}
-
-impl TokenSource {
-    fn is_rgb(&self) -> bool {
-        *self == Self::Rgb
-    }
 }
 
 /// What a token of a global block sees.

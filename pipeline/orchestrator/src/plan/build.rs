@@ -47,8 +47,13 @@ pub fn make_plan(manifest: &Manifest, text: &Text, programs: &StagePrograms, sou
         roots: Vec::new(),
         calibrations: Vec::new(),
         predictions: manifest.predictions.iter().map(|own| own.root.clone()).collect(),
+        latents: None,
         clips: Vec::new(),
     };
+    let reads_latents = |node: &Node| node.inputs.iter().any(|input| input.from == From::Latents);
+    if plan.nodes.iter().any(reads_latents) {
+        plan.latents = manifest.latents.as_ref().map(|latents| latents.root.clone());
+    }
     super::clips::add_clips(&mut plan, manifest, text, programs, sources)?;
     Ok(plan)
 }
@@ -286,6 +291,7 @@ impl Builder<'_> {
             let weight = weights
                 .of(stage, role)
                 .or_else(|| self.manifest.weights.of(stage, role));
+            let is_from_latents = description.default_params.get("tokens").and_then(Value::as_str) == Some("latents");
             let upstream = |stage: &'static str| made.get(stage).map(|&node| From::Node(node));
             let from = match role {
                 "episode" => Some(From::Episode),
@@ -300,6 +306,12 @@ impl Builder<'_> {
                 "conditioning" => upstream("conditioning"),
                 "field" => upstream("lift"),
                 "refinement" if refined => upstream("refine"),
+                "latents" if is_from_latents => Some(self.latents(stage)?),
+                "adapter" if is_from_latents && weight.is_none() => {
+                    let error = self.text.error(&[stage], "`tokens = \"latents\"` needs an adapter");
+                    return Err(error.with_hint("name it under [weights]: adapter = \"FILE\""));
+                }
+                "latents" | "adapter" if !is_from_latents => None,
                 _ => match weight {
                     Some(path) => Some(From::Source(self.source(role, path, &["weights"])?)),
                     None => None,
@@ -360,6 +372,22 @@ impl Builder<'_> {
                 set("setting", Value::String(setting.clone()));
             }
         }
+    }
+
+    /// The clips' latents, which a stage asks for.
+    fn latents(&self, stage: &str) -> Result<From> {
+        let Some(latents) = &self.manifest.latents else {
+            let error = self
+                .text
+                .error(&[stage], "`tokens = \"latents\"` needs the clips' latents");
+            return Err(error.with_hint("name their folder: [latents] with root = \"FOLDER\" (docs/latents-format.md)"));
+        };
+        if !latents.root.is_dir() {
+            let message = format!("`{}` is no folder", latents.root.display());
+            let error = self.text.error(&["latents", "root"], message);
+            return Err(error.with_hint("it holds CLIP.safetensors for every clip, named by the clip's id"));
+        }
+        Ok(From::Latents)
     }
 
     fn source(&self, role: &str, path: &Path, keys: &[&str]) -> Result<Source> {

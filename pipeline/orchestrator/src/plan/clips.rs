@@ -71,8 +71,11 @@ pub(super) fn add_clips(
             Some(path) => Some(calibration(plan, path, text, sources)?),
         };
         let predictions = predictions(plan, &id, sources)?;
+        let latents = plan.latents.as_ref().map(|root| super::latents_file(root, &id));
+        let latents = latents.filter(|file| file.is_file());
         let clip = Clip {
             predictions,
+            latents: latents.map(|file| sources.source("latents", &file)).transpose()?,
             id,
             episode: asked.listed.episode_id.clone(),
             layout: asked.listed.layout.clone(),

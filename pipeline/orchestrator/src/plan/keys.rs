@@ -71,6 +71,7 @@ impl KeyMaker<'_> {
                     .calibration
                     .map(|index| plan.calibrations[index as usize].content.to_string()),
                 From::Prediction(index) => source.prediction(*index).map(|content| content.to_string()),
+                From::Latents => source.latents.map(|content| content.to_string()),
                 // Nodes are ordered, so the upstream key is there already.
                 From::Node(node) => Some(keys[*node].key.to_string()),
                 From::Source(source) => Some(source.content.to_string()),

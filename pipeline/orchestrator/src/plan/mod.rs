@@ -48,6 +48,9 @@ pub struct Plan {
     /// Folders with the predictions of outside methods, in the order of the manifest.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub predictions: Vec<PathBuf>,
+    /// Folder with the latents of the clips.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub latents: Option<PathBuf>,
     /// The clips, in the order of the manifest. One line each in the file.
     #[serde(skip)]
     pub clips: Vec<Clip>,
@@ -95,6 +98,8 @@ pub enum From {
     Calibration,
     /// The clip's folder in one of [`Plan::predictions`], where it has one.
     Prediction(u32),
+    /// The clip's file in [`Plan::latents`], where it has one.
+    Latents,
     /// The output of another node, an index into [`Plan::nodes`].
     Node(usize),
     /// The same source for all clips.
@@ -132,6 +137,9 @@ pub struct Clip {
     /// Content of the clip's folder in each of [`Plan::predictions`]; empty when no method has one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub predictions: Vec<Option<ContentHash>>,
+    /// Content of the clip's file in [`Plan::latents`], where it has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub latents: Option<ContentHash>,
     /// Parameters of ingest for this clip, normalised, laid over the node's.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub ingest: Map<String, Value>,
@@ -143,6 +151,11 @@ impl Clip {
     pub fn prediction(&self, index: u32) -> Option<ContentHash> {
         self.predictions.get(index as usize).copied().flatten()
     }
+}
+
+/// Where the latents of a clip lie.
+fn latents_file(root: &Path, clip: &str) -> PathBuf {
+    root.join(format!("{clip}.safetensors"))
 }
 
 /// One unit: a clip (index) at a node (index).
@@ -190,6 +203,10 @@ impl Plan {
             From::Prediction(index) => clip
                 .prediction(*index)
                 .map(|_| self.predictions[*index as usize].join(&clip.id)),
+            From::Latents => {
+                let root = self.latents.as_ref().filter(|_| clip.latents.is_some());
+                root.map(|root| latents_file(root, &clip.id))
+            }
             From::Node(node) => Some(self.run.join(self.output(Unit { node: *node, ..unit }, keys))),
             From::Source(source) => Some(source.path.clone()),
         };
