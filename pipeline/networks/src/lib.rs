@@ -12,6 +12,7 @@ pub mod error;
 mod kernels;
 pub mod lpips;
 pub mod ops;
+pub mod optimiser;
 pub mod parameters;
 pub mod render;
 pub mod stage1;

@@ -87,6 +87,19 @@ impl Parameters {
         Ok(())
     }
 
+    /// A copy of all parameters in the memory of a device, without the history of their gradients.
+    ///
+    /// # Errors
+    /// When a parameter cannot be read.
+    pub fn on(&self, device: &Device) -> Result<Self> {
+        let mut copy = Self::new(device);
+        for name in self.names() {
+            let shape = self.shape(&name).map(<[usize]>::to_vec).unwrap_or_default();
+            copy.insert(&name, &shape, self.host(&name)?)?;
+        }
+        Ok(copy)
+    }
+
     /// The parameters in memory, by name; an optimiser changes their values here.
     pub fn memory_mut(&mut self) -> &mut BTreeMap<String, Parameter> {
         &mut self.memory

@@ -45,8 +45,8 @@ fn main() -> Result<(), Failure> {
     let mut optimiser = AdamW::default();
     for step in 0..steps {
         // One-cycle in short: warm up over a tenth, then decay to nothing.
-        let done = step as f32 / steps as f32;
-        let rate = 4e-3 * (done * 10.0).min(1.0) * 0.5 * (1.0 + (std::f32::consts::PI * done).cos());
+        let done = step as f64 / steps as f64;
+        let rate = 4e-3 * (done * 10.0).min(1.0) * 0.5 * (1.0 + (std::f64::consts::PI * done).cos());
         (optimiser.learning_rate, optimiser.gate_learning_rate) = (rate, 1.521 * rate);
         AdamW::track(&mut parameters);
         let refiner = Refiner::load(&parameters, &config)?;

@@ -43,6 +43,7 @@ pub use cameras::{
 pub use config::SynthConfig;
 pub use episode::{Episode, Frame, generate_episode};
 pub use error::{Error, Result};
+pub use math::{rigid_inverse, rigid_pose};
 pub use mesh::TriMesh;
 pub use motion::Action;
 pub use render::View;

@@ -60,13 +60,15 @@ pub(crate) fn rigid(rotation: DMat3, translation: DVec3) -> DAffine3 {
 }
 
 /// The inverse of a rigid transform.
-pub(crate) fn rigid_inverse(pose: &DAffine3) -> DAffine3 {
+#[must_use]
+pub fn rigid_inverse(pose: &DAffine3) -> DAffine3 {
     let rotation = pose.matrix3.transpose();
     rigid(rotation, -(rotation * pose.translation))
 }
 
 /// As it lies on disk.
-pub(crate) fn rigid_pose(pose: &DAffine3) -> RigidPose {
+#[must_use]
+pub fn rigid_pose(pose: &DAffine3) -> RigidPose {
     let m = pose.matrix3.transpose();
     let t = pose.translation;
     let mut rotation = [0.0; 9];

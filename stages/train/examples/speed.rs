@@ -1,7 +1,7 @@
-//! Seconds of the parts of an update: `cargo run -p rogs-train --example speed`.
+//! Seconds of the parts of an update: `cargo run -p rogs-train --example speed HEIGHT WIDTH IMAGES TIMES QUERIES`.
 use burn::tensor::Device;
 use rogs_train::stream::batches;
-use rogs_train::{Course, Stage1Training, Trainer};
+use rogs_train::{Course, Stage1Trainer, Stage1Training};
 use std::time::Instant;
 fn main() {
     let mut settings = Stage1Training::default();
@@ -12,7 +12,7 @@ fn main() {
     settings.data.queries = arguments[4];
     settings.optimiser.rate = 4e-4;
     let mut stream = batches(&settings, 0);
-    let mut trainer = Trainer::new(settings, &Device::flex()).unwrap();
+    let mut trainer = Stage1Trainer::new(settings, &Device::flex()).unwrap();
     for _ in 0..6 {
         let start = Instant::now();
         let batch = stream.next_item().unwrap().unwrap();

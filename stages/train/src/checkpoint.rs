@@ -16,11 +16,11 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use rogs_networks::checkpoint::{ElementType, TensorFile, TensorSource, write};
+use rogs_networks::optimiser::Moments;
 use rogs_networks::parameters::{ParameterSource, Parameters};
 use serde::Serialize;
 
 use crate::error::{Error, Result};
-use crate::optimiser::Moments;
 
 /// Metadata key of a state: updates done.
 const STEP: &str = "rogs.train.step";

@@ -7,6 +7,7 @@ use rogs_networks::stage1::Stage1Config;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
+use crate::run::Rhythm;
 
 /// A Stage-1 training run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -56,6 +57,9 @@ pub struct DataSettings {
     pub images_per_step: u32,
     /// Probability that a clip's conditioning maps are all zero.
     pub conditioning_dropout: f64,
+    /// Share of clips whose robot pixels are not anchored to the mesh. None in the paper; without some, the network
+    /// never learns the robot's depth, which the ablation without anchoring asks for.
+    pub anchoring_dropout: f64,
     /// Errors of the recorded extrinsics, standard deviations in metres and radians.
     pub calibration_noise: Option<[f64; 2]>,
 }
@@ -141,6 +145,7 @@ impl Default for DataSettings {
             queries: 8,
             images_per_step: 80,
             conditioning_dropout: 0.1,
+            anchoring_dropout: 0.0,
             calibration_noise: None,
         }
     }
@@ -228,6 +233,16 @@ impl Stage1Training {
         Ok(settings)
     }
 
+    /// When the run writes and scores.
+    #[must_use]
+    pub fn rhythm(&self) -> Rhythm {
+        Rhythm {
+            steps: self.steps,
+            checkpoint_every: self.checkpoint_every,
+            evaluate_every: self.evaluate_every,
+        }
+    }
+
     /// Checks every setting.
     ///
     /// # Errors
@@ -235,13 +250,7 @@ impl Stage1Training {
     pub fn check(&self) -> Result<()> {
         let network = Stage1Config::by_name(&self.configuration)?;
         let wrong = |what, value: String, rule| Err(Error::Setting { what, value, rule });
-        if self.steps == 0 || self.checkpoint_every == 0 || self.evaluate_every == 0 {
-            return wrong(
-                "steps",
-                self.steps.to_string(),
-                "at least 1, and so must both intervals be",
-            );
-        }
+        self.rhythm().check()?;
         self.data.check(network.patch as u32)?;
         let optimiser = &self.optimiser;
         let rates = [
@@ -313,9 +322,13 @@ impl DataSettings {
             let rule = "at least 3 cameras times the most source times";
             return wrong("data.images_per_step", self.images_per_step.to_string(), rule);
         }
-        if !(0.0..=1.0).contains(&self.conditioning_dropout) {
-            let value = self.conditioning_dropout.to_string();
-            return wrong("data.conditioning_dropout", value, "a probability");
+        for (what, share) in [
+            ("data.conditioning_dropout", self.conditioning_dropout),
+            ("data.anchoring_dropout", self.anchoring_dropout),
+        ] {
+            if !(0.0..=1.0).contains(&share) {
+                return wrong(what, share.to_string(), "a probability");
+            }
         }
         Ok(())
     }

@@ -61,9 +61,18 @@ pub enum Error {
     /// Lifting or refining a clip failed.
     #[error("{0}")]
     Stage(String),
+    /// A recorded pose is no rigid transform.
+    #[error(transparent)]
+    Geometry(#[from] rogs_geometry::Error),
     /// The rasteriser failed.
     #[error(transparent)]
     Splat(#[from] rogs_splat::SplatError),
+}
+
+impl From<rogs_worker::StageError> for Error {
+    fn from(error: rogs_worker::StageError) -> Self {
+        Self::Stage(error.to_string())
+    }
 }
 
 impl Error {

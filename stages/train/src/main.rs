@@ -8,7 +8,7 @@ use clap::{Parser, Subcommand, ValueEnum};
 use rogs_networks::checkpoint::{ElementType, PROVENANCE};
 use rogs_train::checkpoint::{RunFolder, export};
 use rogs_train::run::{Course, run};
-use rogs_train::{Error, Result, Stage1Training, Stage2Trainer, Stage2Training, Trainer};
+use rogs_train::{Error, Result, Stage1Trainer, Stage1Training, Stage2Trainer, Stage2Training};
 
 /// Trains the networks of rogs on procedural clips with exact references.
 #[derive(Parser)]
@@ -88,7 +88,7 @@ fn execute(command: Command) -> Result<()> {
                 Some(path) => Stage1Training::read(&path)?,
                 None => Stage1Training::default(),
             };
-            let mut trainer = Trainer::new(settings, &Device::flex())?;
+            let mut trainer = Stage1Trainer::new(settings, &Device::flex())?;
             run(&mut trainer, &out, stop_after, &mut |line| eprintln!("{line}"))?;
             println!("{}", out.join("model.safetensors").display());
             Ok(())
@@ -115,7 +115,7 @@ fn execute(command: Command) -> Result<()> {
                 start: None,
                 ..settings.clone()
             };
-            let mut trainer = Trainer::new(alone, &Device::flex())?;
+            let mut trainer = Stage1Trainer::new(alone, &Device::flex())?;
             RunFolder::open(&folder, &settings)?.resume(trainer.state())?;
             trainer.settings = settings;
             let element = match numbers {

@@ -1,16 +1,13 @@
 //! The records that the pipeline's stages would make of a procedural clip, without files: for training of Stage 2, and to
 //! hold the training clips against the stages themselves.
 
-use glam::DVec3;
-use rogs_schemas::records::clip::{
-    CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, SourceView, Tracks,
-};
-use rogs_schemas::records::conditioning::{Conditioning, ViewConditioning};
+use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Tracks};
+use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
-use rogs_schemas::units::UNITS_PER_METRE;
-use rogs_synth::{ARM_JOINT_NAMES, CAMERA_NAMES, CAMERAS, FIRST_OBJECT_ID, View};
+use rogs_synth::{ARM_JOINT_NAMES, CAMERA_NAMES, CAMERAS, FIRST_OBJECT_ID, View, rigid_pose};
 
-use crate::sample::{DEPTH_RANGE_M, Maker, SOURCE_CAMERAS, rigid, support};
+use crate::error::Result;
+use crate::sample::{DEPTH_RANGE_M, Maker, SOURCE_CAMERAS, links, support};
 
 /// The records of one clip.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,15 +22,15 @@ pub struct Records {
 
 impl Maker<'_> {
     /// The records of the clip.
-    pub(crate) fn records(&self) -> Records {
+    pub(crate) fn records(&self) -> Result<Records> {
         let (clip, views) = self.clip();
         let robot = self.robot(&clip, &views);
-        let conditioning = self.conditioning(&clip, &robot, &views);
-        Records {
+        let conditioning = rogs_conditioning::build(&clip, &robot, &rogs_conditioning::Params::default())?;
+        Ok(Records {
             clip,
             robot,
             conditioning,
-        }
+        })
     }
 
     /// The clip, and the pictures of the source cameras at the source frames.
@@ -68,7 +65,7 @@ impl Maker<'_> {
             intrinsics: self.episode.cameras[index].intrinsics,
             mount: CameraMount::Trajectory {
                 base_from_camera: (0..self.data.clip_frames)
-                    .map(|frame| rigid(&self.recorded(index, self.frame(frame))))
+                    .map(|frame| rigid_pose(&self.recorded(index, self.frame(frame))))
                     .collect(),
             },
             rgb: None,
@@ -134,42 +131,39 @@ impl Maker<'_> {
 
     fn robot(&self, clip: &Clip, sources: &[Vec<View>]) -> RobotMaps {
         let frames = 0..self.data.clip_frames;
-        let links = (0..FIRST_OBJECT_ID)
+        let count = (0..FIRST_OBJECT_ID)
             .take_while(|&id| self.episode.body_pose(id, 0).is_some())
             .count() as u8;
         let link_poses = frames.clone().flat_map(|frame| {
-            (0..links).filter_map(move |id| self.episode.body_pose(id, self.frame(frame)).map(|pose| rigid(&pose)))
+            (0..count).filter_map(move |id| {
+                self.episode
+                    .body_pose(id, self.frame(frame))
+                    .map(|pose| rigid_pose(&pose))
+            })
         });
         let maps = clip.source_views().into_iter().map(|view| {
             let time = self.plan.sources.iter().position(|&frame| frame == view.frame);
             let picture = &sources[time.unwrap_or(0)][view.camera as usize];
-            let robot = |id: u8| id < FIRST_OBJECT_ID;
+            let link = links(picture);
             RobotMap {
                 camera: view.camera,
                 frame: view.frame,
-                depth_m: (picture.depth_m.iter().zip(&picture.id))
-                    .map(|(&depth, &id)| if robot(id) { depth } else { 0.0 })
+                depth_m: (picture.depth_m.iter().zip(&link))
+                    .map(|(&depth, &link)| if link == NO_LINK { 0.0 } else { depth })
                     .collect(),
-                link: picture
-                    .id
-                    .iter()
-                    .map(|&id| if robot(id) { id } else { NO_LINK })
-                    .collect(),
-                support: support(picture, clip.width as usize)
-                    .into_iter()
-                    .map(u8::from)
-                    .collect(),
+                link,
+                support: support(picture, self.data.size),
             }
         });
         RobotMaps {
             clip_id: clip.clip_id.clone(),
-            link_names: (0..links).map(|id| format!("link{id}")).collect(),
+            link_names: (0..count).map(|id| format!("link{id}")).collect(),
             base_from_link: link_poses.collect(),
             base_from_camera: (0..CAMERAS)
                 .flat_map(|camera| frames.clone().map(move |frame| (camera, frame)))
-                .map(|(camera, frame)| rigid(&self.recorded(camera, self.frame(frame))))
+                .map(|(camera, frame)| rigid_pose(&self.recorded(camera, self.frame(frame))))
                 .collect(),
-            recon_from_base: rigid(&self.recon_from_base),
+            recon_from_base: rigid_pose(&self.recon_from_base),
             tool_m: frames
                 .clone()
                 .flat_map(|frame| self.episode.tool(self.frame(frame)).to_array())
@@ -177,63 +171,6 @@ impl Maker<'_> {
             height: clip.height,
             width: clip.width,
             maps: maps.collect(),
-        }
-    }
-
-    fn conditioning(&self, clip: &Clip, robot: &RobotMaps, sources: &[Vec<View>]) -> Conditioning {
-        let query_frames = clip.field_frames();
-        let view_maps = clip.source_views().into_iter().zip(&robot.maps).map(|(view, map)| {
-            let time = self
-                .plan
-                .sources
-                .iter()
-                .position(|&frame| frame == view.frame)
-                .unwrap_or(0);
-            self.view_conditioning(view, map, &sources[time][view.camera as usize], &query_frames)
-        });
-        Conditioning {
-            clip_id: clip.clip_id.clone(),
-            height: clip.height,
-            width: clip.width,
-            views: clip.source_views(),
-            view_maps: view_maps.collect(),
-            query_frames,
-        }
-    }
-
-    fn view_conditioning(&self, view: SourceView, map: &RobotMap, picture: &View, queries: &[u32]) -> ViewConditioning {
-        let (camera, from) = (view.camera as usize, self.frame(view.frame));
-        let lens = &self.episode.cameras[camera];
-        let (width, k) = (lens.width as usize, lens.intrinsics);
-        let base_from_camera = self.episode.base_from_camera(camera, from);
-        let pixels: Vec<u32> = (0..map.support.len() as u32)
-            .filter(|&pixel| map.support[pixel as usize] != 0)
-            .collect();
-        let mut displacement_iu = Vec::with_capacity(3 * pixels.len() * queries.len());
-        for &query in queries {
-            for &pixel in &pixels {
-                let (row, column) = (pixel as usize / width, pixel as usize % width);
-                let ray = DVec3::new(
-                    (column as f64 + 0.5 - k.cx) / k.fx,
-                    (row as f64 + 0.5 - k.cy) / k.fy,
-                    1.0,
-                );
-                let point = base_from_camera.transform_point3(ray * f64::from(picture.depth_m[pixel as usize]));
-                let moved = self
-                    .episode
-                    .displacement(map.link[pixel as usize], point, from, self.frame(query))
-                    .unwrap_or_default();
-                let moved = self.recon_from_base.matrix3 * moved * UNITS_PER_METRE;
-                displacement_iu.extend(moved.as_vec3().to_array());
-            }
-        }
-        ViewConditioning {
-            link: pixels.iter().map(|&pixel| map.link[pixel as usize]).collect(),
-            depth_m: pixels.iter().map(|&pixel| map.depth_m[pixel as usize]).collect(),
-            pixels,
-            displacement_iu,
-            available: vec![1; queries.len()],
-            prior: self.prior(camera, from),
         }
     }
 }

@@ -5,13 +5,14 @@ use std::path::Path;
 use std::time::Instant;
 
 use rogs_networks::checkpoint::ElementType;
+use rogs_networks::optimiser::Moments;
 use rogs_networks::parameters::Parameters;
 use serde::Serialize;
 use serde_json::json;
 
 use crate::checkpoint::{RunFolder, State, export};
 use crate::error::{Error, Result};
-use crate::optimiser::Moments;
+use crate::picture::Picture;
 use crate::report;
 use crate::stream::Stream;
 
@@ -33,17 +34,6 @@ pub struct UpdateReport {
     pub images: usize,
 }
 
-/// A picture, RGB rows.
-#[derive(Debug, Clone, Default)]
-pub struct Picture {
-    /// Width, pixels.
-    pub width: u32,
-    /// Height, pixels.
-    pub height: u32,
-    /// `[H, W, 3]`
-    pub rgb: Vec<u8>,
-}
-
 /// Scores of held-out clips.
 #[derive(Debug, Clone, Default)]
 pub struct Evaluation {
@@ -62,6 +52,29 @@ pub struct Rhythm {
     pub checkpoint_every: u64,
     /// Held-out clips are scored every so many updates.
     pub evaluate_every: u64,
+}
+
+impl Rhythm {
+    /// Checks that there is something to do.
+    ///
+    /// # Errors
+    /// When there are no updates or an interval is empty.
+    pub fn check(&self) -> Result<()> {
+        for (what, value) in [
+            ("steps", self.steps),
+            ("checkpoint_every", self.checkpoint_every),
+            ("evaluate_every", self.evaluate_every),
+        ] {
+            if value == 0 {
+                return Err(Error::Setting {
+                    what,
+                    value: value.to_string(),
+                    rule: "at least 1",
+                });
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Something that is trained update by update.
@@ -162,7 +175,7 @@ fn scored<C: Course>(course: &C, folder: &RunFolder, clock: &Clock, say: &mut dy
         say(&format!("after {step} updates, held-out clips: {}", words.join("  ")));
     }
     if let Some(picture) = picture.filter(|picture| picture.width > 0) {
-        save_picture(&folder.path(&format!("samples/{step:06}.png")), &picture)?;
+        picture.save(&folder.path(&format!("samples/{step:06}.png")))?;
     }
     let seconds = clock.seconds();
     let line = json!({ "step": step, "evaluation": true, "seconds": seconds });
@@ -175,18 +188,6 @@ fn scored<C: Course>(course: &C, folder: &RunFolder, clock: &Clock, say: &mut dy
         ElementType::F32,
     )?;
     report::write(folder, C::TITLE, C::PICTURE, course.rhythm().steps)
-}
-
-fn save_picture(path: &Path, picture: &Picture) -> Result<()> {
-    let image = image::RgbImage::from_raw(picture.width, picture.height, picture.rgb.clone());
-    let failed = |reason: String| Error::Folder {
-        path: path.to_owned(),
-        reason,
-    };
-    image
-        .ok_or_else(|| failed("the picture has another size than its pixels".into()))?
-        .save(path)
-        .map_err(|error| failed(error.to_string()))
 }
 
 fn line(report: &UpdateReport, steps: u64, seconds_per_update: f64) -> String {

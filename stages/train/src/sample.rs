@@ -1,34 +1,26 @@
 //! One training clip from a procedural episode: what the network sees, and exact references for every loss.
 
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
+use rogs_lift::LiftParams;
 use rogs_networks::stage1::Camera;
-use rogs_random::Pcg64;
-use rogs_schemas::RigidPose;
+use rogs_robot_maps::{SupportRule, valid_support};
 use rogs_schemas::records::clip::time_of_frame;
 use rogs_schemas::records::conditioning::{GripperPrior, KAPPA_CHANNELS};
+use rogs_schemas::records::robot::NO_LINK;
 use rogs_schemas::units::{UNITS_PER_METRE, iu_from_m};
 use rogs_splat::Camera as RasterCamera;
-use rogs_synth::{Episode, FIRST_OBJECT_ID, FIRST_SCENERY_ID, Resolution, SynthConfig, View, generate_episode};
+use rogs_synth::{Episode, FIRST_OBJECT_ID, FIRST_SCENERY_ID, View, rigid_inverse, rigid_pose};
 
 use crate::config::DataSettings;
-use crate::error::{Error, Result};
-use crate::records::Records;
+use crate::plan::ClipPlan;
 
 /// Cameras whose images the network sees; their right eyes follow them in the episode.
 pub const SOURCE_CAMERAS: usize = 3;
-/// Frames of a procedural episode.
-const EPISODE_FRAMES: u32 = 33;
 /// References outside this interval take no part in depth losses, metres (as in scoring).
 pub(crate) const DEPTH_RANGE_M: [f32; 2] = [0.1, 5.0];
-/// Largest footprint of an anchored Gaussian, source pixels (`lift`'s default).
-const FOOTPRINT_PX: f32 = 1.5;
 /// A cap that caps nothing, internal units.
 const NO_CAP_IU: f32 = 1e3;
-/// Links farther apart than this are different surfaces, metres (`robot-maps`' default).
-const LINK_STEP_M: f32 = 0.03;
-/// Standard deviation of the gripper-neighbourhood prior, metres (`conditioning`'s default).
-const PRIOR_SIGMA_M: f64 = 0.10;
 
 /// A clip in the reconstruction frame, internal units. `S` source views in token order (camera-major, times ascending),
 /// `A = H W` pixels.
@@ -50,9 +42,9 @@ pub struct Sample {
     pub depth_iu: Vec<f32>,
     /// 1 where the reference depth counts. `[S, A]`
     pub valid: Vec<f32>,
-    /// Mesh depth at valid robot support, internal units; 0 elsewhere. `[S, A]`
+    /// Mesh depth where it anchors, at valid robot support, internal units; 0 elsewhere. `[S, A]`
     pub mesh_depth_iu: Vec<f32>,
-    /// 1 at valid robot support: what is anchored and conditioned. `[S, A]`
+    /// 1 at valid robot support: what is conditioned. `[S, A]`
     pub support: Vec<f32>,
     /// Largest scale of the Gaussians at valid support, internal units; large elsewhere. `[S, A]`
     pub scale_cap_iu: Vec<f32>,
@@ -64,6 +56,17 @@ pub struct Sample {
     pub queries: Vec<Query>,
 }
 
+impl Sample {
+    /// The clip without mesh anchoring: positions of robot pixels are then the network's own.
+    #[must_use]
+    pub fn without_anchors(&self) -> Self {
+        let mut free = self.clone();
+        free.mesh_depth_iu.fill(0.0);
+        free.scale_cap_iu.fill(NO_CAP_IU);
+        free
+    }
+}
+
 /// One query time of a clip.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Query {
@@ -73,7 +76,7 @@ pub struct Query {
     pub kappa: Vec<f32>,
     /// Displacement of every source pixel from its own time to this one, internal units. `[S, 3, H, W]`
     pub displacement_iu: Vec<f32>,
-    /// Views of all cameras at this time.
+    /// Views of all cameras at this time, source cameras first.
     pub targets: Vec<Target>,
 }
 
@@ -92,126 +95,6 @@ pub struct Target {
     pub valid: Vec<f32>,
 }
 
-/// Which frames of which episode.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ClipPlan {
-    /// Seed of the episode.
-    pub seed: u64,
-    /// First episode frame of the clip.
-    pub first: u32,
-    /// Clip frames whose images the network sees, ascending.
-    pub sources: Vec<u32>,
-    /// Clip frames that are asked for, ascending.
-    pub queries: Vec<u32>,
-}
-
-impl ClipPlan {
-    /// A plan with the given number of source times, drawn from `random`: half of the plans spread them evenly, as
-    /// evaluation does.
-    #[must_use]
-    pub fn draw(seed: u64, sources: u32, data: &DataSettings, random: &mut Pcg64) -> Self {
-        let frames = data.clip_frames;
-        let latest = EPISODE_FRAMES.saturating_sub(frames);
-        let first = (random.next_double() * f64::from(latest + 1)) as u32;
-        let even = random.next_double() < 0.5;
-        Self {
-            seed,
-            first: first.min(latest),
-            sources: if even {
-                spread(frames, sources)
-            } else {
-                choose(frames, sources, random)
-            },
-            queries: choose(frames, data.queries, random),
-        }
-    }
-
-    /// The clip that evaluation cuts: the paper's interval, evenly spread sources, queries between them.
-    #[must_use]
-    pub fn evaluation(seed: u64, data: &DataSettings) -> Self {
-        let frames = data.clip_frames;
-        Self {
-            seed,
-            first: 7.min(EPISODE_FRAMES.saturating_sub(frames)),
-            sources: spread(frames, data.source_times[1]),
-            queries: spread(frames, 3.min(frames))
-                .into_iter()
-                .map(|frame| frame.saturating_sub(2))
-                .collect(),
-        }
-    }
-
-    /// Makes the clip.
-    ///
-    /// # Errors
-    /// When no motion can be found for the seed.
-    pub fn sample(&self, data: &DataSettings, with_targets: bool) -> Result<Sample> {
-        let episode = self.episode(data)?;
-        Ok(Maker::new(self, data, &episode).sample(with_targets))
-    }
-
-    /// The records that the pipeline would make of the clip.
-    ///
-    /// # Errors
-    /// As [`Self::sample`].
-    pub fn records(&self, data: &DataSettings) -> Result<Records> {
-        let episode = self.episode(data)?;
-        Ok(Maker::new(self, data, &episode).records())
-    }
-
-    /// Makes something of the plan; a seed for which no motion is found gives way to another one far from all others.
-    ///
-    /// # Errors
-    /// Those of `make`.
-    pub fn or_another<T>(&self, make: impl Fn(&Self) -> Result<T>) -> Result<T> {
-        const FAR: u64 = 1 << 40;
-        match make(self) {
-            Err(Error::Synth(_)) => make(&Self {
-                seed: self.seed + FAR,
-                ..self.clone()
-            }),
-            result => result,
-        }
-    }
-
-    fn episode(&self, data: &DataSettings) -> Result<Episode> {
-        let config = SynthConfig {
-            frames: EPISODE_FRAMES.max(data.clip_frames),
-            resolution: Resolution {
-                wrist: data.size,
-                external: data.size,
-            },
-            calibration_noise: data.calibration_noise,
-            anchor_frame: Some(self.first + self.sources[0]),
-            ..SynthConfig::default()
-        };
-        Ok(generate_episode(&config, self.seed)?)
-    }
-}
-
-/// Frames spread evenly from the first to the last.
-fn spread(frames: u32, count: u32) -> Vec<u32> {
-    if count < 2 {
-        return vec![0];
-    }
-    let last = f64::from(frames - 1);
-    (0..count)
-        .map(|k| (f64::from(k) * last / f64::from(count - 1)).round() as u32)
-        .collect()
-}
-
-/// Different frames, ascending.
-fn choose(frames: u32, count: u32, random: &mut Pcg64) -> Vec<u32> {
-    let mut all: Vec<u32> = (0..frames).collect();
-    for k in 0..count as usize {
-        let other = k + (random.next_double() * (all.len() - k) as f64) as usize;
-        all.swap(k, other.min(frames as usize - 1));
-    }
-    all.truncate(count as usize);
-    all.sort_unstable();
-    all
-}
-
 /// Makes what training needs of a clip.
 pub(crate) struct Maker<'a> {
     pub(crate) plan: &'a ClipPlan,
@@ -222,14 +105,14 @@ pub(crate) struct Maker<'a> {
 }
 
 impl<'a> Maker<'a> {
-    fn new(plan: &'a ClipPlan, data: &'a DataSettings, episode: &'a Episode) -> Self {
+    pub(crate) fn new(plan: &'a ClipPlan, data: &'a DataSettings, episode: &'a Episode) -> Self {
         let mut maker = Self {
             plan,
             data,
             episode,
             recon_from_base: DAffine3::IDENTITY,
         };
-        maker.recon_from_base = inverse(&maker.recorded(0, maker.frame(plan.sources[0])));
+        maker.recon_from_base = rigid_inverse(&maker.recorded(0, maker.frame(plan.sources[0])));
         maker
     }
 
@@ -248,7 +131,7 @@ impl<'a> Maker<'a> {
         recorded.base_from_camera(&self.episode.base_from_flange(frame))
     }
 
-    fn sample(&self, with_targets: bool) -> Sample {
+    pub(crate) fn sample(&self, with_targets: bool) -> Sample {
         let [height, width] = self.data.size.map(|side| side as usize);
         let area = height * width;
         let sources: Vec<Vec<View>> = (self.plan.sources.iter())
@@ -274,6 +157,7 @@ impl<'a> Maker<'a> {
             queries: Vec::new(),
         };
         let mark = |on: bool| f32::from(u8::from(on));
+        let footprint_px = LiftParams::default().footprint_px;
         for &(camera, time) in &order {
             let (view, clip_frame) = (&sources[time][camera], self.plan.sources[time]);
             let frame = self.frame(clip_frame);
@@ -285,12 +169,13 @@ impl<'a> Maker<'a> {
             sample.depth_iu.extend(depth);
             sample.valid.extend(valid);
             let k = &self.episode.cameras[camera].intrinsics;
-            let footprint = FOOTPRINT_PX / k.fx.min(k.fy) as f32;
-            for (&depth_m, supported) in view.depth_m.iter().zip(support(view, width)) {
+            let footprint = footprint_px.map(|pixels| pixels / k.fx.min(k.fy) as f32);
+            for (&depth_m, supported) in view.depth_m.iter().zip(support(view, self.data.size)) {
+                let supported = supported != 0;
                 let depth = if supported { iu_from_m(depth_m) } else { 0.0 };
                 sample.mesh_depth_iu.push(depth);
                 sample.support.push(mark(supported));
-                let cap = if supported { footprint * depth } else { NO_CAP_IU };
+                let cap = footprint.filter(|_| supported).map_or(NO_CAP_IU, |cap| cap * depth);
                 sample.scale_cap_iu.push(cap);
             }
             sample
@@ -346,16 +231,16 @@ impl<'a> Maker<'a> {
         let lens = &self.episode.cameras[camera];
         let (width, area, k) = (lens.width as usize, view.id.len(), lens.intrinsics);
         let recon_from_camera = self.recon_from_base * self.episode.base_from_camera(camera, from);
-        let base_from_recon = inverse(&self.recon_from_base);
+        let base_from_recon = rigid_inverse(&self.recon_from_base);
         // How each body moves, in the reconstruction frame; `None` where it stays.
         let moves: Vec<Option<DAffine3>> = (0..FIRST_SCENERY_ID)
             .map(|id| {
                 let (before, after) = (self.episode.body_pose(id, from)?, self.episode.body_pose(id, to)?);
-                (before != after).then(|| self.recon_from_base * after * inverse(&before) * base_from_recon)
+                (before != after).then(|| self.recon_from_base * after * rigid_inverse(&before) * base_from_recon)
             })
             .collect();
         let prior = self.prior(camera, from);
-        let support = support(view, width);
+        let support = support(view, self.data.size);
         let mut kappa = vec![0.0f32; KAPPA_CHANNELS * area];
         let mut displacement = vec![0.0f32; 3 * area];
         for pixel in 0..area {
@@ -363,7 +248,7 @@ impl<'a> Maker<'a> {
             kappa[5 * area + pixel] = 1.0;
             kappa[6 * area + pixel] = prior.at(column as u32, row as u32);
             let (id, depth_m) = (view.id[pixel], view.depth_m[pixel]);
-            let supported = support[pixel];
+            let supported = support[pixel] != 0;
             if supported {
                 kappa[pixel] = 1.0;
                 kappa[area + pixel] = depth_m;
@@ -388,9 +273,9 @@ impl<'a> Maker<'a> {
         (kappa, displacement)
     }
 
-    pub(crate) fn prior(&self, camera: usize, frame: usize) -> GripperPrior {
+    fn prior(&self, camera: usize, frame: usize) -> GripperPrior {
         let k = self.episode.cameras[camera].intrinsics;
-        let tool = inverse(&self.recorded(camera, frame)).transform_point3(self.episode.tool(frame));
+        let tool = rigid_inverse(&self.recorded(camera, frame)).transform_point3(self.episode.tool(frame));
         let centre_px = if tool.z > 0.0 {
             [tool.x / tool.z * k.fx + k.cx, tool.y / tool.z * k.fy + k.cy]
         } else {
@@ -400,14 +285,14 @@ impl<'a> Maker<'a> {
             centre_px,
             depth_m: tool.z,
             focal_px: [k.fx, k.fy],
-            sigma_m: PRIOR_SIGMA_M,
+            sigma_m: rogs_conditioning::Params::default().prior_sigma_m,
         }
     }
 
     fn network_camera(&self, camera: usize, frame: usize) -> Camera {
         let lens = &self.episode.cameras[camera];
         let (width, height, k) = (f64::from(lens.width), f64::from(lens.height), lens.intrinsics);
-        let pose = rigid(&(self.recon_from_base * self.recorded(camera, frame)));
+        let pose = rigid_pose(&(self.recon_from_base * self.recorded(camera, frame)));
         Camera {
             rotation: pose.rotation,
             translation_iu: pose.translation.map(|metres| metres * UNITS_PER_METRE),
@@ -417,30 +302,20 @@ impl<'a> Maker<'a> {
 
     fn raster_camera(&self, camera: usize, frame: usize) -> RasterCamera {
         let lens = &self.episode.cameras[camera];
-        let pose = rigid(&(self.recon_from_base * self.recorded(camera, frame)));
+        let pose = rigid_pose(&(self.recon_from_base * self.recorded(camera, frame)));
         RasterCamera::from_world_pose(lens.width, lens.height, &lens.intrinsics, &pose, UNITS_PER_METRE)
     }
 }
 
-/// Valid robot support by the rule of `robot-maps`: robot with all its neighbours, no two of which are links far apart in
-/// depth. `[A]`
-pub(crate) fn support(view: &View, width: usize) -> Vec<bool> {
-    let height = view.id.len() / width;
-    let apart =
-        |a: usize, b: usize| view.id[a] != view.id[b] && (view.depth_m[a] - view.depth_m[b]).abs() > LINK_STEP_M;
-    let valid = |pixel: usize| {
-        let (row, column) = (pixel / width, pixel % width);
-        if row == 0 || column == 0 || row + 1 == height || column + 1 == width {
-            return false;
-        }
-        let mut window = [0; 9];
-        for (index, other) in window.iter_mut().enumerate() {
-            *other = (row + index / 3 - 1) * width + column + index % 3 - 1;
-        }
-        window.iter().all(|&a| view.id[a] < FIRST_OBJECT_ID)
-            && !window.iter().any(|&a| window.iter().any(|&b| apart(a, b)))
-    };
-    (0..view.id.len()).map(valid).collect()
+/// Link of every pixel, [`NO_LINK`] where no robot is seen. `[A]`
+pub(crate) fn links(view: &View) -> Vec<u8> {
+    let link = |&id: &u8| if id < FIRST_OBJECT_ID { id } else { NO_LINK };
+    view.id.iter().map(link).collect()
+}
+
+/// Valid robot support by the rule of `robot-maps`, 1 or 0. `[A]`
+pub(crate) fn support(view: &View, [height, width]: [u32; 2]) -> Vec<u8> {
+    valid_support(&view.depth_m, &links(view), width, height, &SupportRule::default())
 }
 
 /// Depth in internal units and whether it counts.
@@ -456,20 +331,4 @@ fn reference_depth(view: &View) -> (Vec<f32>, Vec<f32>) {
             }
         })
         .unzip()
-}
-
-fn inverse(pose: &DAffine3) -> DAffine3 {
-    let rotation = pose.matrix3.transpose();
-    DAffine3::from_mat3_translation(rotation, -(rotation * pose.translation))
-}
-
-/// The stored form of a rigid transform, rotation row-major.
-pub(crate) fn rigid(pose: &DAffine3) -> RigidPose {
-    let DMat3 { x_axis, y_axis, z_axis } = pose.matrix3;
-    RigidPose {
-        rotation: [
-            x_axis.x, y_axis.x, z_axis.x, x_axis.y, y_axis.y, z_axis.y, x_axis.z, y_axis.z, z_axis.z,
-        ],
-        translation: pose.translation.to_array(),
-    }
 }

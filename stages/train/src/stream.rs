@@ -9,7 +9,8 @@ use rogs_random::Pcg64;
 
 use crate::config::{DataSettings, Stage1Training};
 use crate::error::Result;
-use crate::sample::{ClipPlan, SOURCE_CAMERAS, Sample};
+use crate::plan::ClipPlan;
+use crate::sample::{SOURCE_CAMERAS, Sample};
 
 /// Batches that wait for training.
 const AHEAD: usize = 3;

@@ -3,7 +3,8 @@
 use rogs_random::Pcg64;
 use rogs_schemas::units::UNITS_PER_METRE;
 use rogs_train::config::DataSettings;
-use rogs_train::sample::{ClipPlan, Sample};
+use rogs_train::plan::ClipPlan;
+use rogs_train::sample::Sample;
 
 fn settings() -> DataSettings {
     DataSettings {

@@ -6,11 +6,11 @@ use rogs_networks::parameters::to_host;
 use rogs_networks::stage1::{Stage1Config, seeded};
 use rogs_random::Pcg64;
 use rogs_schemas::records::clip::time_of_frame;
-use rogs_schemas::records::field::WeightsInfo;
+use rogs_schemas::records::field::{Field, WeightsInfo};
 use rogs_schemas::units::m_from_iu;
 use rogs_train::config::DataSettings;
-use rogs_train::forward::lift;
-use rogs_train::sample::ClipPlan;
+use rogs_train::plan::ClipPlan;
+use rogs_train::stage1::forward::{Lifted, lift};
 
 #[test]
 fn lifting_in_training_equals_the_lift_stage() {
@@ -42,33 +42,36 @@ fn lifting_in_training_equals_the_lift_stage() {
         hash: String::new(),
     };
     let model = Model { network, info };
-    let (params, mut warnings) = (LiftParams::default(), Vec::new());
-    let field = lift_clip(
-        &model,
-        &params,
-        &records.clip,
-        &records.robot,
-        &records.conditioning,
-        &mut |_, _, work| work(),
-        &mut warnings,
-    )
-    .unwrap();
+    let lift_field = |params: &LiftParams| {
+        let (clip, robot, conditioning) = (&records.clip, &records.robot, &records.conditioning);
+        let mut run = |_: &str, _: f64, work: rogs_lift::Work<'_>| work();
+        lift_clip(&model, params, clip, robot, conditioning, &mut run, &mut Vec::new()).unwrap()
+    };
+    let field = lift_field(&LiftParams::default());
     let area = sample.size[0] * sample.size[1];
     let close = |a: f32, b: f32, what: &str| assert!((a - b).abs() < 2e-4 * (1.0 + b.abs()), "{what}: {a} {b}");
     let supported = sample.support.iter().filter(|&&value| value > 0.0).count();
     assert_eq!(supported, field.support.iter().filter(|&&value| value != 0).count());
     assert!(supported > 50);
-    let position = to_host(lifted.position).unwrap();
-    for (gaussian, stored) in field.position_m.chunks_exact(3).enumerate() {
-        let (view, pixel) = (gaussian / area, gaussian % area);
-        for axis in 0..3 {
-            close(
-                stored[axis],
-                m_from_iu(position[(3 * view + axis) * area + pixel]),
-                "position",
-            );
+    let positions_agree = |lifted: &Lifted, field: &Field| {
+        let position = to_host(lifted.position.clone()).unwrap();
+        for (gaussian, stored) in field.position_m.chunks_exact(3).enumerate() {
+            let (view, pixel) = (gaussian / area, gaussian % area);
+            for axis in 0..3 {
+                let own = m_from_iu(position[(3 * view + axis) * area + pixel]);
+                close(stored[axis], own, "position");
+            }
         }
-    }
+    };
+    positions_agree(&lifted, &field);
+    let unanchored = LiftParams {
+        anchoring: false,
+        ..LiftParams::default()
+    };
+    let free = lift(&model.network, &sample.without_anchors(), true).unwrap();
+    let free_field = lift_field(&unanchored);
+    positions_agree(&free, &free_field);
+    assert!(free_field.position_m != field.position_m);
     let mut moved = 0.0f32;
     for (query, outputs) in sample.queries.iter().zip(&lifted.queries) {
         let frame = (0..17)

@@ -6,12 +6,14 @@ use burn::tensor::Device;
 use rogs_networks::parameters::to_host;
 use rogs_random::Pcg64;
 use rogs_train::config::{DataSettings, LossWeights, OptimiserSettings};
-use rogs_train::forward::lift;
-use rogs_train::objective::objective;
+use rogs_train::plan::ClipPlan;
 use rogs_train::run::run;
-use rogs_train::sample::{ClipPlan, Sample};
+use rogs_train::sample::Sample;
+use rogs_train::stage1::forward::lift;
+use rogs_train::stage1::objective::objective;
+use rogs_train::stage1::start;
 use rogs_train::stream::batches;
-use rogs_train::{Course, Stage1Training, Trainer, start};
+use rogs_train::{Course, Stage1Trainer, Stage1Training};
 
 /// A run small enough for a test: the compact network on very small images.
 fn tiny(steps: u64) -> Stage1Training {
@@ -44,7 +46,7 @@ fn train(
     say: &mut dyn FnMut(&str),
 ) -> rogs_train::Result<()> {
     run(
-        &mut Trainer::new(settings.clone(), &Device::flex())?,
+        &mut Stage1Trainer::new(settings.clone(), &Device::flex())?,
         folder,
         stop_after,
         say,
@@ -112,7 +114,7 @@ fn updates_are_the_same_for_any_number_of_threads() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let batch = batches(&settings, 0).next_item().unwrap().unwrap();
-            let mut trainer = Trainer::new(settings.clone(), &Device::flex()).unwrap();
+            let mut trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
             let report = trainer.update(&batch).unwrap();
             let name = "backbone.depth_head.scratch.output_conv2.2.weight";
             (report, trainer.network.parameters.host(name).unwrap())
@@ -122,7 +124,7 @@ fn updates_are_the_same_for_any_number_of_threads() {
     assert!(one == three);
 }
 
-/// The surrogate has the gradient of the value that is reported.
+/// The loss has the gradient of the value that is reported.
 #[test]
 fn gradients_are_those_of_the_reported_loss() {
     let settings = tiny(1);
@@ -193,7 +195,7 @@ fn gradients_are_those_of_the_reported_loss() {
             _ => 0,
         };
         let value_with = |shift: f32| {
-            let mut trainer = Trainer::new(settings.clone(), &device).unwrap();
+            let mut trainer = Stage1Trainer::new(settings.clone(), &device).unwrap();
             let shape = trainer.network.parameters.shape(name).unwrap().to_vec();
             let mut values = trainer.network.parameters.host(name).unwrap();
             // Away from zero: static pixels are at the kink of |x| before training.
@@ -202,7 +204,7 @@ fn gradients_are_those_of_the_reported_loss() {
             let network = start::tracked(&trainer.network, &settings.optimiser).unwrap();
             let lifted = lift(&network, &clip, true).unwrap();
             let result = objective(&clip, &lifted, &weights, &mut Pcg64::from_seed(1)).unwrap();
-            let gradients = result.surrogate.backward();
+            let gradients = result.loss.backward();
             let gradient = network.parameters.memory()[name].values.grad(&gradients).unwrap();
             (result.value, f64::from(to_host(gradient).unwrap()[entry]))
         };
@@ -224,7 +226,7 @@ fn a_network_learns_one_clip() {
     let mut settings = tiny(12);
     (settings.optimiser.rate, settings.optimiser.head_rate) = (4e-3, 4e-3);
     let clip = sample(&settings, 99);
-    let mut trainer = Trainer::new(settings, &Device::flex()).unwrap();
+    let mut trainer = Stage1Trainer::new(settings, &Device::flex()).unwrap();
     let mut losses = Vec::new();
     for step in 0..12 {
         let batch = rogs_train::stream::Batch {
@@ -241,9 +243,9 @@ fn only_the_chosen_parameters_are_trained() {
     let mut settings = tiny(1);
     settings.optimiser.lora_rank = 4;
     let batch = batches(&settings, 0).next_item().unwrap().unwrap();
-    let mut trainer = Trainer::new(settings.clone(), &Device::flex()).unwrap();
+    let mut trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
     let before: Vec<_> = trainer.network.parameters.names();
-    let values = |trainer: &Trainer, name: &str| trainer.network.parameters.host(name).unwrap();
+    let values = |trainer: &Stage1Trainer, name: &str| trainer.network.parameters.host(name).unwrap();
     let old: Vec<Vec<f32>> = before.iter().map(|name| values(&trainer, name)).collect();
     trainer.update(&batch).unwrap();
     let (mut changed, mut kept) = (0, 0);

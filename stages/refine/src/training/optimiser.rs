@@ -1,9 +1,8 @@
-//! The optimiser of the trained parameters.
-
-use std::collections::BTreeMap;
+//! Which parameters of the refiner are trained, and how fast.
 
 use burn::tensor::Tensor;
-use rogs_networks::parameters::{Parameters, to_host};
+use rogs_networks::optimiser::{self, Gradients, Moments, Rule};
+use rogs_networks::parameters::Parameters;
 use rogs_networks::stage2::weights::is_trained;
 use rogs_worker::StageResult;
 
@@ -14,15 +13,17 @@ use crate::refinement::internal;
 #[derive(Debug, Clone)]
 pub struct AdamW {
     /// Learning rate of the updater.
-    pub learning_rate: f32,
+    pub learning_rate: f64,
     /// Learning rate of the residual gates.
-    pub gate_learning_rate: f32,
+    pub gate_learning_rate: f64,
     /// Decoupled weight decay of matrices; gates, biases and normalisations have none.
-    pub weight_decay: f32,
+    pub weight_decay: f64,
     /// Largest norm of the gradient of all parameters together.
-    pub clip: f32,
-    steps: i32,
-    moments: BTreeMap<String, [Vec<f32>; 2]>,
+    pub clip: f64,
+    /// Steps done.
+    pub steps: u64,
+    /// What the next step depends on besides the parameters.
+    pub moments: Moments,
 }
 
 impl Default for AdamW {
@@ -34,7 +35,7 @@ impl Default for AdamW {
             weight_decay: 0.01,
             clip: 0.5,
             steps: 0,
-            moments: BTreeMap::new(),
+            moments: Moments::default(),
         }
     }
 }
@@ -49,56 +50,35 @@ impl AdamW {
         }
     }
 
-    /// Differentiates a surrogate and moves the parameters.
+    /// Differentiates a surrogate and moves the parameters; they are leaves of their own afterwards.
     ///
     /// # Errors
     /// When the device fails.
     pub fn step(&mut self, parameters: &mut Parameters, surrogate: &Tensor<1>) -> StageResult<()> {
-        const BETAS: [f32; 2] = [0.9, 0.999];
-        let gradients = surrogate.backward();
-        let mut found = Vec::new();
-        for (name, parameter) in parameters.memory().iter().filter(|(name, _)| is_trained(name)) {
-            if let Some(gradient) = parameter.values.grad(&gradients) {
-                found.push((
-                    name.clone(),
-                    parameter.shape.clone(),
-                    to_host(gradient).map_err(internal)?,
-                ));
-            }
-        }
-        let square = |values: &[f32]| {
-            values
-                .iter()
-                .map(|&value| f64::from(value) * f64::from(value))
-                .sum::<f64>()
+        let gradients = optimiser::gradients(parameters, surrogate).map_err(internal)?;
+        self.apply(parameters, &gradients).map(|_| ())
+    }
+
+    /// Moves the parameters by gradients; returns the norm of these before clipping. When that is not finite, nothing is
+    /// moved and no step counted.
+    ///
+    /// # Errors
+    /// When a parameter cannot be read.
+    pub fn apply(&mut self, parameters: &mut Parameters, gradients: &Gradients) -> StageResult<f64> {
+        let (rate, gate_rate, decay) = (self.learning_rate, self.gate_learning_rate, self.weight_decay);
+        let rule = Rule {
+            rate: &|name| {
+                let gate = name == "encoder.update_gate.logit";
+                is_trained(name).then_some(if gate { gate_rate } else { rate })
+            },
+            share: 1.0,
+            betas: [0.9, 0.999],
+            weight_decay: &|shape| if shape.len() > 1 { decay } else { 0.0 },
+            clip: self.clip,
         };
-        let norm = found
-            .iter()
-            .map(|(_, _, gradient)| square(gradient))
-            .sum::<f64>()
-            .sqrt() as f32;
-        let share = if norm > self.clip { self.clip / norm } else { 1.0 };
-        self.steps += 1;
-        let unbias = BETAS.map(|beta| 1.0 - beta.powi(self.steps));
-        for (name, shape, gradient) in found {
-            let gate = name == "encoder.update_gate.logit";
-            let rate = if gate {
-                self.gate_learning_rate
-            } else {
-                self.learning_rate
-            };
-            let decay = if shape.len() > 1 { self.weight_decay } else { 0.0 };
-            let mut values = parameters.host(&name).map_err(internal)?;
-            let moments = self.moments.entry(name.clone());
-            let [first, second] = moments.or_insert_with(|| [vec![0.0; gradient.len()], vec![0.0; gradient.len()]]);
-            for (index, gradient) in gradient.iter().map(|value| value * share).enumerate() {
-                first[index] = BETAS[0] * first[index] + (1.0 - BETAS[0]) * gradient;
-                second[index] = BETAS[1] * second[index] + (1.0 - BETAS[1]) * gradient * gradient;
-                let direction = first[index] / unbias[0] / ((second[index] / unbias[1]).sqrt() + 1e-8);
-                values[index] -= rate * (direction + decay * values[index]);
-            }
-            parameters.insert(&name, &shape, values).map_err(internal)?;
-        }
-        Ok(())
+        let moments = &mut self.moments;
+        let norm = optimiser::update(parameters, moments, gradients, &rule, self.steps).map_err(internal)?;
+        self.steps += u64::from(norm.is_finite());
+        Ok(norm)
     }
 }

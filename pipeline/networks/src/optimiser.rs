@@ -1,11 +1,12 @@
-//! AdamW with a rate per parameter (`stage1-network.md` section 15).
+//! AdamW with a rate and a decay per parameter (`stage1-network.md` section 15, `stage2-network.md` section B.8).
 
 use std::collections::BTreeMap;
 
+use burn::tensor::Tensor;
 use rayon::prelude::*;
-use rogs_networks::parameters::Parameters;
 
-use crate::error::{Error, Result};
+use crate::Result;
+use crate::parameters::{Parameters, to_host};
 
 /// Keeps a division by a zero moment finite.
 const EPSILON: f64 = 1e-8;
@@ -57,10 +58,26 @@ pub struct Rule<'a> {
     pub clip: f64,
 }
 
-/// Moves the parameters by update `step` (counted from 0); returns the norm before clipping.
+/// Differentiates a loss with respect to all parameters in memory that record gradients.
 ///
 /// # Errors
-/// When a gradient is not finite (nothing is changed then), or a parameter cannot be read.
+/// When a gradient cannot be read from the device.
+pub fn gradients(leaves: &Parameters, loss: &Tensor<1>) -> Result<Gradients> {
+    let mut graph = loss.backward();
+    let mut by_name = Gradients::new();
+    for (name, parameter) in leaves.memory() {
+        if let Some(gradient) = parameter.values.grad_remove(&mut graph) {
+            by_name.insert(name.clone(), to_host(gradient)?);
+        }
+    }
+    Ok(by_name)
+}
+
+/// Moves the parameters by update `step` (counted from 0); returns the norm of the gradients before clipping. When that is
+/// not finite, nothing is moved.
+///
+/// # Errors
+/// When a parameter cannot be read.
 pub fn update(
     parameters: &mut Parameters,
     moments: &mut Moments,
@@ -70,10 +87,7 @@ pub fn update(
 ) -> Result<f64> {
     let size = norm(gradients);
     if !size.is_finite() {
-        return Err(Error::Diverged {
-            step,
-            what: "the norm of the gradient".into(),
-        });
+        return Ok(size);
     }
     let clip = if size > rule.clip { rule.clip / size } else { 1.0 };
     let unbias = rule.betas.map(|beta| 1.0 - beta.powi(step as i32 + 1));

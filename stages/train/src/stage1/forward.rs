@@ -2,6 +2,7 @@
 
 use burn::tensor::Tensor;
 use rogs_networks::parameters::from_host;
+use rogs_networks::render::{ColourTensor, GaussianTensors};
 use rogs_networks::stage1::decode::{self, DEPTH_RANGE_IU, MotionGates};
 use rogs_networks::stage1::{Attention, HeadKind, SourceFrames, Stage1};
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
@@ -56,9 +57,8 @@ pub fn lift(network: &Stage1, sample: &Sample, conditioned: bool) -> Result<Lift
         .forward(&depth_head.projections(None), &encoded.taps, grid, size)
         .narrow(1, 0, 1);
     let depth = log_depth.clone().exp().clamp(DEPTH_RANGE_IU[0], DEPTH_RANGE_IU[1]);
-    let support = from_host(sample.support.clone(), [views, 1, height, width], device);
     let mesh = from_host(sample.mesh_depth_iu.clone(), [views, 1, height, width], device);
-    let selected = depth.clone() * (support.clone() * -1.0 + 1.0) + mesh * support;
+    let selected = depth.clone().mask_where(mesh.clone().greater_elem(0.0), mesh);
     let (rays, origins) = rays(sample);
     let rays = from_host(rays, [views, 3, height, width], device);
     let position = rays * selected + from_host(origins, [views, 3, 1, 1], device);
@@ -134,4 +134,24 @@ pub fn attributes(raw: Tensor<4>, sample: &Sample) -> Tensor<4> {
         vec![activated.clone().narrow(1, 0, 3), scale, activated.narrow(1, 6, 5)],
         1,
     )
+}
+
+/// Gaussians at these positions `[V, 3, H, W]` with activated attributes `[V, 11, H, W]`, and displacements
+/// `[V, 3, H, W]` to composite.
+#[must_use]
+pub fn gaussians(position: Tensor<4>, attributes: Tensor<4>, displacement: Option<Tensor<4>>) -> GaussianTensors {
+    let rows = |map: Tensor<4>| {
+        let [views, channels, height, width] = map.dims();
+        map.permute([0, 2, 3, 1]).reshape([views * height * width, channels])
+    };
+    let attributes = rows(attributes);
+    let part = |first: usize, count: usize| attributes.clone().narrow(1, first, count);
+    GaussianTensors {
+        means: rows(position),
+        colours: ColourTensor::Rgb(part(0, 3)),
+        scales: part(3, 3),
+        rotations: part(6, 4),
+        opacities: part(10, 1).squeeze_dim(1),
+        extra: displacement.map(rows),
+    }
 }

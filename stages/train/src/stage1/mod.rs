@@ -1,28 +1,33 @@
-//! The training loop of Stage 1: forward and backward over the clips of an update, and what lies on disk.
+//! Training of Stage 1, the lifting network (`stage1-network.md` sections 14 and 15).
+
+mod evaluate;
+pub mod forward;
+pub mod objective;
+mod renders;
+pub mod start;
 
 use std::collections::BTreeMap;
 
 use burn::tensor::Device;
 use rayon::prelude::*;
 use rogs_networks::checkpoint::stage1_metadata;
-use rogs_networks::parameters::{Parameters, to_host};
+use rogs_networks::optimiser::{self, Gradients, Moments, Rule, schedule};
+use rogs_networks::parameters::Parameters;
 use rogs_networks::stage1::Stage1;
 use rogs_random::Pcg64;
 
 use crate::checkpoint::State;
 use crate::config::Stage1Training;
 use crate::error::{Error, Result};
-use crate::evaluate::evaluate;
-use crate::forward::lift;
-use crate::objective::objective;
-use crate::optimiser::{Gradients, Moments, Rule, schedule, update};
 use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
 use crate::sample::Sample;
-use crate::start;
 use crate::stream::{Batch, Stream, batches};
+use evaluate::evaluate;
+use forward::lift;
+use objective::objective;
 
 /// A run between two updates.
-pub struct Trainer {
+pub struct Stage1Trainer {
     /// Its settings.
     pub settings: Stage1Training,
     /// The network as it is now.
@@ -33,7 +38,7 @@ pub struct Trainer {
     pub step: u64,
 }
 
-impl Trainer {
+impl Stage1Trainer {
     /// A run before its first update, on a device of its own kind with gradients.
     ///
     /// # Errors
@@ -55,6 +60,10 @@ impl Trainer {
         let network = start::tracked(&self.network, &settings.optimiser)?;
         let mut random = Pcg64::from_seeds(&[settings.seed, 3, self.step, index]);
         let conditioned = random.next_double() >= settings.data.conditioning_dropout;
+        let anchoring_dropout = settings.data.anchoring_dropout;
+        let free =
+            (anchoring_dropout > 0.0 && random.next_double() < anchoring_dropout).then(|| clip.without_anchors());
+        let clip = free.as_ref().unwrap_or(clip);
         let lifted = lift(&network, clip, conditioned)?;
         let objective = objective(clip, &lifted, &settings.losses, &mut random)?;
         if !objective.value.is_finite() {
@@ -66,22 +75,15 @@ impl Trainer {
             });
         }
         drop(lifted);
-        let mut gradients = objective.surrogate.backward();
-        let mut by_name = Gradients::new();
-        for (name, parameter) in network.parameters.memory() {
-            if let Some(gradient) = parameter.values.grad_remove(&mut gradients) {
-                by_name.insert(name.clone(), to_host(gradient)?);
-            }
-        }
         Ok(ClipResult {
             value: objective.value,
             terms: objective.terms,
-            gradients: by_name,
+            gradients: optimiser::gradients(&network.parameters, &objective.loss)?,
         })
     }
 }
 
-impl Course for Trainer {
+impl Course for Stage1Trainer {
     type Settings = Stage1Training;
     type Batch = Batch;
 
@@ -94,11 +96,7 @@ impl Course for Trainer {
     }
 
     fn rhythm(&self) -> Rhythm {
-        Rhythm {
-            steps: self.settings.steps,
-            checkpoint_every: self.settings.checkpoint_every,
-            evaluate_every: self.settings.evaluate_every,
-        }
+        self.settings.rhythm()
     }
 
     fn state(&mut self) -> State<'_> {
@@ -180,7 +178,13 @@ impl Course for Trainer {
             weight_decay: &|_| optimiser.weight_decay,
             clip: optimiser.clip,
         };
-        let gradient_norm = update(&mut self.network.parameters, &mut self.moments, &sum, &rule, self.step)?;
+        let gradient_norm = optimiser::update(&mut self.network.parameters, &mut self.moments, &sum, &rule, self.step)?;
+        if !gradient_norm.is_finite() {
+            return Err(Error::Diverged {
+                step: self.step,
+                what: "the norm of the gradients".into(),
+            });
+        }
         let report = UpdateReport {
             step: self.step,
             loss,

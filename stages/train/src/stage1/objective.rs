@@ -1,5 +1,4 @@
-//! The losses of Stage 1 (`stage1-network.md` section 14): those of the network's outputs here, those of renders in
-//! [`crate::renders`].
+//! The losses of Stage 1 (`stage1-network.md` section 14): those of the network's outputs here, those of renders beside.
 
 use std::collections::BTreeMap;
 
@@ -8,10 +7,10 @@ use rogs_networks::parameters::{from_host, to_host};
 use rogs_networks::stage1::losses;
 use rogs_random::Pcg64;
 
+use super::forward::Lifted;
+use super::renders;
 use crate::config::LossWeights;
 use crate::error::Result;
-use crate::forward::Lifted;
-use crate::renders;
 use crate::sample::Sample;
 
 /// Most track pixels of a query.
@@ -19,7 +18,7 @@ const TRACKS: usize = 1000;
 /// Of these, the share that starts on robot and objects when there are enough of them.
 const MOVING_SHARE: f64 = 0.75;
 /// Keeps a mean over nothing finite.
-const EPSILON: f64 = 1e-6;
+pub(super) const EPSILON: f64 = 1e-6;
 
 /// The objective of a clip.
 pub struct Objective {
@@ -27,8 +26,8 @@ pub struct Objective {
     pub terms: BTreeMap<&'static str, f64>,
     /// The weighted sum.
     pub value: f64,
-    /// Its gradient in the parameters is that of the weighted sum; its value is not. `[1]`
-    pub surrogate: Tensor<1>,
+    /// The same as a tensor, for its gradients. `[1]`
+    pub loss: Tensor<1>,
 }
 
 /// Pixels that tracks start on: row-major indices into `[S, A]`.
@@ -104,49 +103,34 @@ pub fn objective(sample: &Sample, lifted: &Lifted, weights: &LossWeights, random
             let loss = error.sum() / (robot.sum() * 3.0 + EPSILON);
             sum.add("fk_head", weights.fk_head, share, loss)?;
         }
+        renders::add_terms(&mut sum, (sample, query), (lifted, outputs), weights, &tracks, share)?;
     }
-    let mut objective = sum.finish();
-    if weights.renders_views() || weights.renders_motion() {
-        let rendered = renders::terms(sample, lifted, weights, &tracks)?;
-        for (key, (weight, value)) in rendered.terms {
-            *objective.terms.entry(key).or_insert(0.0) += value;
-            objective.value += weight * value;
-        }
-        objective.surrogate = objective.surrogate + rendered.surrogate;
-    }
-    Ok(objective)
+    Ok(sum.objective)
 }
 
 /// A weighted sum of differentiable terms.
-struct Sum {
-    terms: BTreeMap<&'static str, f64>,
-    value: f64,
-    surrogate: Tensor<1>,
+pub(super) struct Sum {
+    objective: Objective,
 }
 
 impl Sum {
     fn new(device: &burn::tensor::Device) -> Self {
         Self {
-            terms: BTreeMap::new(),
-            value: 0.0,
-            surrogate: Tensor::zeros([1], device),
+            objective: Objective {
+                terms: BTreeMap::new(),
+                value: 0.0,
+                loss: Tensor::zeros([1], device),
+            },
         }
     }
 
     /// Adds `share` of a term (of one of several queries, say).
-    fn add(&mut self, key: &'static str, weight: f64, share: f64, term: Tensor<1>) -> Result<()> {
+    pub(super) fn add(&mut self, key: &'static str, weight: f64, share: f64, term: Tensor<1>) -> Result<()> {
+        let sum = &mut self.objective;
         let value = share * f64::from(to_host(term.clone())?.first().copied().unwrap_or(f32::NAN));
-        *self.terms.entry(key).or_insert(0.0) += value;
-        self.value += weight * value;
-        self.surrogate = self.surrogate.clone() + term * (weight * share);
+        *sum.terms.entry(key).or_insert(0.0) += value;
+        sum.value += weight * value;
+        sum.loss = sum.loss.clone() + term * (weight * share);
         Ok(())
-    }
-
-    fn finish(self) -> Objective {
-        Objective {
-            terms: self.terms,
-            value: self.value,
-            surrogate: self.surrogate,
-        }
     }
 }

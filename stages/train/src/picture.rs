@@ -1,0 +1,44 @@
+//! Pictures of held-out clips, and how much they resemble what a camera saw.
+
+use std::path::Path;
+
+use crate::error::{Error, Result};
+
+/// RGB rows.
+#[derive(Debug, Clone, Default)]
+pub struct Picture {
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// `[H, W, 3]`
+    pub rgb: Vec<u8>,
+}
+
+impl Picture {
+    /// Writes a PNG.
+    pub(crate) fn save(&self, path: &Path) -> Result<()> {
+        let failed = |reason: String| Error::Folder {
+            path: path.to_owned(),
+            reason,
+        };
+        image::RgbImage::from_raw(self.width, self.height, self.rgb.clone())
+            .ok_or_else(|| failed("the picture has another size than its pixels".into()))?
+            .save(path)
+            .map_err(|error| failed(error.to_string()))
+    }
+}
+
+/// A value in 0..1 as a byte.
+pub(crate) fn byte(value: f32) -> u8 {
+    (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
+}
+
+/// PSNR of an image against its reference, both in 0..1, dB.
+pub(crate) fn peak_signal(image: &[f32], reference: &[f32]) -> f64 {
+    let square = image
+        .iter()
+        .zip(reference)
+        .map(|(a, b)| f64::from(a.clamp(0.0, 1.0) - b).powi(2));
+    -10.0 * libm::log10((square.sum::<f64>() / reference.len() as f64).max(1e-10))
+}

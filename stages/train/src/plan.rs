@@ -1,0 +1,132 @@
+//! Which frames of which procedural episode a training clip is cut from.
+
+use rogs_random::Pcg64;
+use rogs_synth::{Episode, Resolution, SynthConfig, generate_episode};
+
+use crate::config::DataSettings;
+use crate::error::{Error, Result};
+use crate::records::Records;
+use crate::sample::{Maker, Sample};
+
+/// Frames of a procedural episode.
+const EPISODE_FRAMES: u32 = 33;
+
+/// Which frames of which episode.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ClipPlan {
+    /// Seed of the episode.
+    pub seed: u64,
+    /// First episode frame of the clip.
+    pub first: u32,
+    /// Clip frames whose images the network sees, ascending.
+    pub sources: Vec<u32>,
+    /// Clip frames that are asked for, ascending.
+    pub queries: Vec<u32>,
+}
+
+impl ClipPlan {
+    /// A plan with the given number of source times, drawn from `random`: half of the plans spread them evenly, as
+    /// evaluation does.
+    #[must_use]
+    pub fn draw(seed: u64, sources: u32, data: &DataSettings, random: &mut Pcg64) -> Self {
+        let frames = data.clip_frames;
+        let latest = EPISODE_FRAMES.saturating_sub(frames);
+        let first = (random.next_double() * f64::from(latest + 1)) as u32;
+        let even = random.next_double() < 0.5;
+        Self {
+            seed,
+            first: first.min(latest),
+            sources: if even {
+                spread(frames, sources)
+            } else {
+                choose(frames, sources, random)
+            },
+            queries: choose(frames, data.queries, random),
+        }
+    }
+
+    /// The clip that evaluation cuts: the paper's interval, evenly spread sources, queries between them.
+    #[must_use]
+    pub fn evaluation(seed: u64, data: &DataSettings) -> Self {
+        let frames = data.clip_frames;
+        Self {
+            seed,
+            first: 7.min(EPISODE_FRAMES.saturating_sub(frames)),
+            sources: spread(frames, data.source_times[1]),
+            queries: spread(frames, 3.min(frames))
+                .into_iter()
+                .map(|frame| frame.saturating_sub(2))
+                .collect(),
+        }
+    }
+
+    /// Makes the clip.
+    ///
+    /// # Errors
+    /// When no motion can be found for the seed.
+    pub fn sample(&self, data: &DataSettings, with_targets: bool) -> Result<Sample> {
+        let episode = self.episode(data)?;
+        Ok(Maker::new(self, data, &episode).sample(with_targets))
+    }
+
+    /// The records that the pipeline would make of the clip.
+    ///
+    /// # Errors
+    /// As [`Self::sample`].
+    pub fn records(&self, data: &DataSettings) -> Result<Records> {
+        let episode = self.episode(data)?;
+        Maker::new(self, data, &episode).records()
+    }
+
+    /// Makes something of the plan; a seed for which no motion is found gives way to another one far from all others.
+    ///
+    /// # Errors
+    /// Those of `make`.
+    pub fn or_another<T>(&self, make: impl Fn(&Self) -> Result<T>) -> Result<T> {
+        const FAR: u64 = 1 << 40;
+        match make(self) {
+            Err(Error::Synth(_)) => make(&Self {
+                seed: self.seed + FAR,
+                ..self.clone()
+            }),
+            result => result,
+        }
+    }
+
+    fn episode(&self, data: &DataSettings) -> Result<Episode> {
+        let config = SynthConfig {
+            frames: EPISODE_FRAMES.max(data.clip_frames),
+            resolution: Resolution {
+                wrist: data.size,
+                external: data.size,
+            },
+            calibration_noise: data.calibration_noise,
+            anchor_frame: Some(self.first + self.sources[0]),
+            ..SynthConfig::default()
+        };
+        Ok(generate_episode(&config, self.seed)?)
+    }
+}
+
+/// Frames spread evenly from the first to the last.
+fn spread(frames: u32, count: u32) -> Vec<u32> {
+    if count < 2 {
+        return vec![0];
+    }
+    let last = f64::from(frames - 1);
+    (0..count)
+        .map(|k| (f64::from(k) * last / f64::from(count - 1)).round() as u32)
+        .collect()
+}
+
+/// Different frames, ascending.
+fn choose(frames: u32, count: u32, random: &mut Pcg64) -> Vec<u32> {
+    let mut all: Vec<u32> = (0..frames).collect();
+    for k in 0..count as usize {
+        let other = k + (random.next_double() * (all.len() - k) as f64) as usize;
+        all.swap(k, other.min(frames as usize - 1));
+    }
+    all.truncate(count as usize);
+    all.sort_unstable();
+    all
+}

@@ -1,0 +1,198 @@
+//! Scores of the network on held-out clips, and a picture of what it makes of the first of them.
+
+use std::collections::BTreeMap;
+
+use burn::tensor::Device;
+use rogs_networks::parameters::to_host;
+use rogs_networks::render::render_views;
+use rogs_networks::stage1::Stage1;
+use rogs_schemas::units::m_from_iu;
+use rogs_splat::RasterConfig;
+
+use super::forward::{attributes, gaussians, lift};
+use crate::config::Stage1Training;
+use crate::error::Result;
+use crate::picture::{Picture, byte, peak_signal};
+use crate::plan::ClipPlan;
+use crate::run::Evaluation;
+use crate::sample::{Query, Sample};
+
+/// Pixels with less accumulated opacity have no depth.
+const LEAST_ALPHA: f32 = 0.5;
+
+/// What a camera sees of the field at a query time.
+struct View {
+    /// RGB. `[A, 3]`
+    rgb: Vec<f32>,
+    /// Accumulated opacity. `[A]`
+    alpha: Vec<f32>,
+    /// Expected depth, internal units. `[A]`
+    depth: Vec<f32>,
+}
+
+/// Scores held-out clips; the picture shows the first one.
+///
+/// # Errors
+/// When a clip cannot be made or rendered.
+pub(super) fn evaluate(network: &Stage1, settings: &Stage1Training) -> Result<Evaluation> {
+    // Without gradients it is faster, and runs on the kernels that lifting uses.
+    let network = Stage1::new(network.config.clone(), network.parameters.on(&Device::flex())?)?;
+    let mut evaluation = Evaluation::default();
+    for index in 0..settings.evaluation_clips {
+        let plan = ClipPlan::evaluation(settings.data.held_out_seed + index, &settings.data);
+        let sample = plan.sample(&settings.data, true)?;
+        let (scores, views) = score(&network, &sample)?;
+        for (name, value) in scores {
+            *evaluation.scores.entry(name.to_owned()).or_insert(0.0) += value / settings.evaluation_clips as f64;
+        }
+        if evaluation.picture.is_none() {
+            evaluation.picture = sample.queries.last().map(|query| grid(&sample, query, &views));
+        }
+    }
+    Ok(evaluation)
+}
+
+/// Scores of one clip, and all views at its last query time.
+///
+/// | score | |
+/// |---|---|
+/// | `head_abs_rel` | mean of abs(D - D*) / D* of the depth head at source pixels that are not robot |
+/// | `source_abs_rel`, `novel_abs_rel` | the same of rendered depth at source cameras and at right eyes |
+/// | `source_psnr`, `novel_psnr` | at query times, dB |
+/// | `robot_epe_mm` | mean distance of predicted and true displacement at robot pixels |
+/// | `robot_epe_unconditioned_mm` | the same with all conditioning maps zero |
+/// | `object_epe_mm` | the same at pixels of objects |
+fn score(network: &Stage1, sample: &Sample) -> Result<(BTreeMap<&'static str, f64>, Vec<View>)> {
+    let lifted = lift(network, sample, true)?;
+    let bare = lift(network, sample, false)?;
+    let mut means = Means::default();
+    let depth = to_host(lifted.depth.clone())?;
+    for pixel in 0..depth.len() {
+        if sample.valid[pixel] > 0.0 && sample.robot[pixel] == 0.0 {
+            let error = (depth[pixel] - sample.depth_iu[pixel]).abs();
+            means.add("head_abs_rel", f64::from(error / sample.depth_iu[pixel]));
+        }
+    }
+    let mut last = Vec::new();
+    for (index, query) in sample.queries.iter().enumerate() {
+        let moved = to_host(lifted.queries[index].displacement.clone())?;
+        distances(sample, query, &moved, |robot, distance| {
+            means.add(if robot { "robot_epe_mm" } else { "object_epe_mm" }, distance);
+        });
+        let moved = to_host(bare.queries[index].displacement.clone())?;
+        distances(sample, query, &moved, |robot, distance| {
+            if robot {
+                means.add("robot_epe_unconditioned_mm", distance);
+            }
+        });
+        let outputs = &lifted.queries[index];
+        let field = gaussians(
+            lifted.position.clone() + outputs.displacement.clone(),
+            attributes(outputs.raw.clone(), sample),
+            None,
+        );
+        let cameras: Vec<_> = query.targets.iter().map(|target| target.camera).collect();
+        let rendered = render_views(&field, &cameras, None, &RasterConfig::default())?;
+        let (rgb, alpha, depth) = (
+            to_host(rendered.rgb)?,
+            to_host(rendered.alpha)?,
+            to_host(rendered.depth)?,
+        );
+        let area = sample.size[0] * sample.size[1];
+        let split = alpha.chunks_exact(area).zip(depth.chunks_exact(area));
+        let views = rgb.chunks_exact(3 * area).zip(split).map(|(rgb, (alpha, depth))| View {
+            rgb: rgb.to_vec(),
+            alpha: alpha.to_vec(),
+            depth: depth.to_vec(),
+        });
+        last = views.collect();
+        for (view, target) in last.iter().zip(&query.targets) {
+            let (psnr, abs_rel) = if target.right {
+                ("novel_psnr", "novel_abs_rel")
+            } else {
+                ("source_psnr", "source_abs_rel")
+            };
+            means.add(psnr, peak_signal(&view.rgb, &target.rgb));
+            for pixel in 0..area {
+                if target.valid[pixel] > 0.0 && view.alpha[pixel] > LEAST_ALPHA {
+                    let error = (view.depth[pixel] - target.depth_iu[pixel]).abs();
+                    means.add(abs_rel, f64::from(error / target.depth_iu[pixel]));
+                }
+            }
+        }
+    }
+    Ok((means.values(), last))
+}
+
+/// Distances of displacements at robot (true) and object pixels, millimetres.
+fn distances(sample: &Sample, query: &Query, moved: &[f32], mut add: impl FnMut(bool, f64)) {
+    let area = sample.size[0] * sample.size[1];
+    for pixel in 0..sample.robot.len() {
+        if sample.trackable[pixel] == 0.0 {
+            continue;
+        }
+        let (view, local) = (pixel / area, pixel % area);
+        let square: f32 = (0..3)
+            .map(|axis| {
+                let index = (3 * view + axis) * area + local;
+                (moved[index] - query.displacement_iu[index]).powi(2)
+            })
+            .sum();
+        add(sample.robot[pixel] > 0.0, f64::from(m_from_iu(square.sqrt())) * 1000.0);
+    }
+}
+
+/// Rows: seen, rendered, reference depth, rendered depth; columns: the cameras.
+fn grid(sample: &Sample, query: &Query, views: &[View]) -> Picture {
+    let [height, width] = sample.size;
+    let columns = views.len();
+    let mut rgb = vec![0u8; 4 * height * columns * width * 3];
+    // Near is bright; 1 iu and 10 iu are the ends.
+    let shade = |depth: f32| {
+        if depth > 0.0 {
+            byte(1.0 - (depth / 10.0).min(1.0))
+        } else {
+            0
+        }
+    };
+    for (column, (view, target)) in views.iter().zip(&query.targets).enumerate() {
+        for pixel in 0..height * width {
+            let (y, x) = (pixel / width, pixel % width);
+            for channel in 0..3 {
+                let values = [
+                    byte(target.rgb[3 * pixel + channel]),
+                    byte(view.rgb[3 * pixel + channel]),
+                    shade(target.depth_iu[pixel]),
+                    shade(view.depth[pixel]),
+                ];
+                for (row, value) in values.into_iter().enumerate() {
+                    rgb[((row * height + y) * columns * width + column * width + x) * 3 + channel] = value;
+                }
+            }
+        }
+    }
+    Picture {
+        width: (columns * width) as u32,
+        height: (4 * height) as u32,
+        rgb,
+    }
+}
+
+/// Means by name.
+#[derive(Default)]
+struct Means {
+    sum_and_count: BTreeMap<&'static str, (f64, f64)>,
+}
+
+impl Means {
+    fn add(&mut self, name: &'static str, value: f64) {
+        let (sum, count) = self.sum_and_count.entry(name).or_default();
+        *sum += value;
+        *count += 1.0;
+    }
+
+    fn values(self) -> BTreeMap<&'static str, f64> {
+        let mean = |(name, (sum, count))| (name, sum / count);
+        self.sum_and_count.into_iter().map(mean).collect()
+    }
+}

@@ -1,0 +1,69 @@
+//! The fields that the refiner is trained on.
+
+use std::path::Path;
+
+use rogs_lift::{LiftParams, load_model};
+use rogs_refine::ClipInputs;
+use rogs_schemas::key::CacheKey;
+use rogs_schemas::records::field::Field;
+
+use crate::config::DataSettings;
+use crate::error::Result;
+use crate::plan::ClipPlan;
+use crate::records::Records;
+
+/// A clip and the field that Stage 1 makes of it.
+pub struct LiftedClip {
+    /// The clip as the pipeline would store it.
+    pub(super) records: Records,
+    /// The field of Stage 1.
+    pub(super) field: Field,
+    /// Query frames.
+    pub(super) frames: Vec<u32>,
+}
+
+/// Lifts clips with one loaded network.
+pub(super) struct Lifter {
+    model: rogs_lift::Model,
+    params: LiftParams,
+}
+
+impl Lifter {
+    pub(super) fn load(weights: &Path) -> Result<Self> {
+        let params = LiftParams::default();
+        let model = load_model(&params, Some(weights))?;
+        Ok(Self { model, params })
+    }
+
+    pub(super) fn lift(&self, plan: &ClipPlan, data: &DataSettings) -> Result<LiftedClip> {
+        let records = plan.or_another(|plan| plan.records(data))?;
+        let (clip, robot, conditioning) = (&records.clip, &records.robot, &records.conditioning);
+        let mut run = |_: &str, _: f64, work: rogs_lift::Work<'_>| work();
+        let field = rogs_lift::lift_clip(
+            &self.model,
+            &self.params,
+            clip,
+            robot,
+            conditioning,
+            &mut run,
+            &mut Vec::new(),
+        );
+        Ok(LiftedClip {
+            frames: plan.queries.clone(),
+            field: field?,
+            records,
+        })
+    }
+}
+
+impl LiftedClip {
+    pub(super) fn inputs(&self) -> ClipInputs<'_> {
+        ClipInputs {
+            clip: &self.records.clip,
+            robot: &self.records.robot,
+            field: &self.field,
+            field_key: CacheKey([0; 16]),
+            resume: None,
+        }
+    }
+}

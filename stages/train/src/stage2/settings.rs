@@ -1,0 +1,199 @@
+//! Settings of a Stage-2 run; defaults are those of the specification (`stage2-network.md` section B.8).
+
+use std::path::{Path, PathBuf};
+
+use rogs_networks::stage2::RefinerConfig;
+use rogs_networks::stage2::objective::ObjectiveWeights;
+use serde::{Deserialize, Serialize};
+
+use crate::config::{self, DataSettings};
+use crate::error::{Error, Result};
+use crate::run::Rhythm;
+
+/// A Stage-2 training run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Stage2Training {
+    /// Size of the refiner: `paper`, `cpu` or `ci`.
+    pub preset: String,
+    /// Weights of the Stage 1 whose fields are refined.
+    pub lift: PathBuf,
+    /// Weights to start from; without them, seeded ones whose last layer is zero.
+    pub start: Option<PathBuf>,
+    /// Seed of weights and data order.
+    pub seed: u64,
+    /// Updates of the parameters in the whole schedule.
+    pub steps: u64,
+    /// A checkpoint is written every so many updates.
+    pub checkpoint_every: u64,
+    /// Held-out clips are scored every so many updates.
+    pub evaluate_every: u64,
+    /// Held-out clips that are scored.
+    pub evaluation_clips: u64,
+    /// Fewest and most recurrent updates of a clip.
+    pub recurrence: [u32; 2],
+    /// Where clips come from.
+    pub data: DataSettings,
+    /// Peak rate of the updater.
+    pub rate: f64,
+    /// Peak rate of the residual gates.
+    pub gate_rate: f64,
+    /// Updates over which the rates rise.
+    pub warmup: u64,
+    /// Decoupled weight decay of matrices.
+    pub weight_decay: f64,
+    /// Largest norm of all gradients together.
+    pub clip: f64,
+    /// Weights of the losses.
+    pub losses: Stage2Losses,
+}
+
+/// Weights of the losses of Stage 2; the perceptual one needs the user's LPIPS weights and is left out.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Stage2Losses {
+    /// Absolute colour difference.
+    pub rendering: f64,
+    /// Relative metric depth.
+    pub depth: f64,
+    /// Robot position against forward kinematics.
+    pub robot: f64,
+    /// Rendered motion against tracks.
+    pub motion: f64,
+    /// Rendered motion against that of Stage 1.
+    pub preservation: f64,
+    /// Missing opacity, source views.
+    pub coverage: f64,
+    /// Missing opacity, right views.
+    pub coverage_right: f64,
+}
+
+impl Default for Stage2Losses {
+    fn default() -> Self {
+        let weights = ObjectiveWeights::default();
+        Self {
+            rendering: weights.rendering,
+            depth: weights.depth,
+            robot: weights.robot,
+            motion: weights.motion,
+            preservation: weights.preservation,
+            coverage: weights.coverage,
+            coverage_right: weights.coverage_right,
+        }
+    }
+}
+
+impl From<Stage2Losses> for ObjectiveWeights {
+    fn from(losses: Stage2Losses) -> Self {
+        Self {
+            rendering: losses.rendering,
+            perceptual: 0.0,
+            depth: losses.depth,
+            robot: losses.robot,
+            motion: losses.motion,
+            preservation: losses.preservation,
+            coverage: losses.coverage,
+            coverage_right: losses.coverage_right,
+            ..Self::default()
+        }
+    }
+}
+
+impl Default for Stage2Training {
+    fn default() -> Self {
+        Self {
+            preset: "cpu".into(),
+            lift: PathBuf::new(),
+            start: None,
+            seed: 73,
+            steps: 2000,
+            checkpoint_every: 50,
+            evaluate_every: 200,
+            evaluation_clips: 4,
+            recurrence: [1, 4],
+            data: DataSettings {
+                queries: 3,
+                images_per_step: 15,
+                ..DataSettings::default()
+            },
+            rate: 1e-4,
+            gate_rate: 1.521e-4,
+            warmup: 100,
+            weight_decay: 0.01,
+            clip: 0.5,
+            losses: Stage2Losses::default(),
+        }
+    }
+}
+
+impl Stage2Training {
+    /// Reads a TOML file. Relative paths are taken from the file's folder.
+    ///
+    /// # Errors
+    /// As [`crate::Stage1Training::read`].
+    pub fn read(path: &Path) -> Result<Self> {
+        let mut settings: Self = config::read_toml(path)?;
+        let folder = path.parent().unwrap_or(Path::new("."));
+        settings.lift = config::absolute(&folder.join(&settings.lift))?;
+        if let Some(start) = &settings.start {
+            settings.start = Some(config::absolute(&folder.join(start))?);
+        }
+        settings.check()?;
+        Ok(settings)
+    }
+
+    /// When the run writes and scores.
+    #[must_use]
+    pub fn rhythm(&self) -> Rhythm {
+        Rhythm {
+            steps: self.steps,
+            checkpoint_every: self.checkpoint_every,
+            evaluate_every: self.evaluate_every,
+        }
+    }
+
+    /// Checks every setting.
+    ///
+    /// # Errors
+    /// The first setting that is out of its range.
+    pub fn check(&self) -> Result<()> {
+        let network = RefinerConfig::preset(&self.preset)?;
+        let wrong = |what, value: String, rule| Err(Error::Setting { what, value, rule });
+        self.rhythm().check()?;
+        let [fewest, most] = self.recurrence;
+        if fewest < 1 || fewest > most || most > rogs_refine::MOST_UPDATES {
+            return wrong(
+                "recurrence",
+                format!("{fewest} to {most}"),
+                "at least 1, ascending, at most 64",
+            );
+        }
+        let block = network.token_block as u32;
+        if self.data.size.iter().any(|side| !side.is_multiple_of(block)) {
+            let [height, width] = self.data.size;
+            return wrong(
+                "data.size",
+                format!("{height} x {width}"),
+                "a multiple of the token block",
+            );
+        }
+        let losses = &self.losses;
+        let weights = [
+            losses.rendering,
+            losses.depth,
+            losses.robot,
+            losses.motion,
+            losses.preservation,
+            losses.coverage,
+            losses.coverage_right,
+        ];
+        if weights.iter().any(|weight| !weight.is_finite() || *weight < 0.0) {
+            return wrong("losses", format!("{weights:?}"), "finite and not negative");
+        }
+        let numbers = [self.rate, self.gate_rate, self.weight_decay];
+        if numbers.iter().any(|number| !(0.0..=10.0).contains(number)) || self.clip.is_nan() || self.clip <= 0.0 {
+            return wrong("rate", format!("{numbers:?}"), "from 0 to 10, with a positive clip");
+        }
+        self.data.check(14)
+    }
+}

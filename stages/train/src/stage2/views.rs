@@ -1,0 +1,77 @@
+//! Held-out clips before and after refinement.
+
+use rogs_geometry::transform::{Base, Camera as CameraFrame, Pose, Recon};
+use rogs_schemas::records::clip::{Clip, time_of_frame};
+use rogs_schemas::records::refinement::Refinement;
+use rogs_schemas::units::UNITS_PER_METRE;
+use rogs_splat::{Camera, RasterConfig, TimedField, render};
+
+use super::lifted::LiftedClip;
+use crate::error::Result;
+use crate::picture::{Picture, byte};
+use crate::sample::SOURCE_CAMERAS;
+
+/// A view of the field after some updates, RGB in 0..1. `[A, 3]`
+pub(super) fn view(
+    lifted: &LiftedClip,
+    refinement: &Refinement,
+    updates: u32,
+    frame: u32,
+    camera: usize,
+) -> Result<Vec<f32>> {
+    let LiftedClip { records, field, .. } = lifted;
+    let timed = TimedField::new(field)?;
+    let timed = match refinement.steps.iter().find(|step| step.update == updates) {
+        Some(step) => timed.with_correction(step, refinement.scale_residual)?,
+        None => timed,
+    };
+    let frames = records.clip.frame_count();
+    let scene = timed.gaussians(time_of_frame(frame, frames))?;
+    let base_from_camera = &records.robot.base_from_camera[camera * frames + frame as usize];
+    let recon_from_camera = Pose::<Recon, Base>::from_rigid(&records.robot.recon_from_base)?
+        * Pose::<Base, CameraFrame>::from_rigid(base_from_camera)?;
+    let lens = Camera::from_world_pose(
+        field.width,
+        field.height,
+        &records.clip.cameras[camera].intrinsics,
+        &recon_from_camera.to_rigid(),
+        UNITS_PER_METRE,
+    );
+    Ok(render(&scene, &lens, &RasterConfig::default())?.rgb)
+}
+
+/// What a camera saw, RGB in 0..1. `[A, 3]`
+pub(super) fn seen(clip: &Clip, frame: u32, camera: usize) -> Vec<f32> {
+    let length = 3 * clip.height as usize * clip.width as usize;
+    let images = clip.cameras[camera].rgb.as_deref().unwrap_or_default();
+    images[frame as usize * length..][..length]
+        .iter()
+        .map(|&value| f32::from(value) / 255.0)
+        .collect()
+}
+
+/// Rows: seen, Stage 1, refined; columns: the source cameras.
+pub(super) fn picture(lifted: &LiftedClip, refinement: &Refinement, updates: u32, frame: u32) -> Result<Picture> {
+    let clip = &lifted.records.clip;
+    let (height, width) = (clip.height as usize, clip.width as usize);
+    let row = 3 * SOURCE_CAMERAS * width;
+    let mut rgb = vec![0u8; 3 * height * row];
+    for camera in 0..SOURCE_CAMERAS {
+        let images = [
+            seen(clip, frame, camera),
+            view(lifted, refinement, 0, frame, camera)?,
+            view(lifted, refinement, updates, frame, camera)?,
+        ];
+        for (block, image) in images.iter().enumerate() {
+            for (y, line) in image.chunks_exact(3 * width).enumerate() {
+                let out = &mut rgb[(block * height + y) * row + 3 * camera * width..][..3 * width];
+                (out.iter_mut().zip(line)).for_each(|(out, &value)| *out = byte(value));
+            }
+        }
+    }
+    Ok(Picture {
+        width: (SOURCE_CAMERAS * width) as u32,
+        height: (3 * height) as u32,
+        rgb,
+    })
+}
