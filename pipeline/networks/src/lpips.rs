@@ -8,15 +8,23 @@
 //! Features of reference images can be kept and compared many times ([`Lpips::features`], [`Lpips::distance`]); training
 //! uses [`LpipsTensors`], which records gradients and runs on any device.
 
+mod filtering;
+mod first;
+mod maps;
+mod product;
+mod readings;
 mod tensors;
+mod tiling;
+mod trunk;
 mod weights;
 
 use std::path::Path;
 
-use rayon::prelude::*;
-
-use crate::kernels::{After, Conv3x3};
 use crate::{Error, Result};
+use filtering::panels;
+use maps::Pixel;
+use readings::LENGTH_FLOOR;
+use trunk::Trunk;
 
 pub use tensors::LpipsTensors;
 pub use weights::LpipsWeights;
@@ -31,15 +39,14 @@ pub(crate) const CONVOLUTIONS: usize = 13;
 pub(crate) const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
 /// Per-channel scale of the input.
 pub(crate) const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
-/// Added to the length a feature vector is divided by.
-pub(crate) const LENGTH_FLOOR: f32 = 1e-10;
 /// Smallest image side: four poolings must leave a pixel.
 const MIN_SIDE: usize = 16;
 
 /// The network, ready for the CPU.
 pub struct Lpips {
-    convolutions: Vec<Conv3x3>,
-    heads: Vec<Vec<f32>>,
+    trunk: Trunk,
+    /// Per layer the weights of its channels.
+    heads: Vec<Vec<Pixel>>,
     /// For people: where the weights come from.
     description: String,
 }
@@ -49,15 +56,15 @@ pub struct Lpips {
 pub struct LpipsFeatures {
     height: usize,
     width: usize,
-    /// Per layer `[C, H, W]`.
-    layers: Vec<Vec<f32>>,
+    /// Per layer `[rows][panels of channels][columns]`.
+    layers: Vec<Vec<Pixel>>,
 }
 
 impl LpipsFeatures {
     /// Memory the values take, bytes.
     #[must_use]
     pub fn bytes(&self) -> usize {
-        self.layers.iter().map(|layer| layer.len() * size_of::<f32>()).sum()
+        self.layers.iter().map(|layer| layer.len() * size_of::<Pixel>()).sum()
     }
 }
 
@@ -73,19 +80,10 @@ impl Lpips {
     /// The network of given weights.
     #[must_use]
     pub fn new(weights: LpipsWeights) -> Self {
-        let LpipsWeights {
-            convolutions,
-            heads,
-            description,
-        } = weights;
-        let convolutions = convolutions
-            .iter()
-            .map(|c| Conv3x3::new(&c.weight, &c.bias, c.outputs, c.inputs))
-            .collect();
         Self {
-            convolutions,
-            heads,
-            description,
+            trunk: Trunk::new(&weights.convolutions),
+            heads: weights.heads.iter().map(|head| panels(head)).collect(),
+            description: weights.description,
         }
     }
 
@@ -100,9 +98,7 @@ impl Lpips {
     /// # Errors
     /// When the buffer has another size or the image is smaller than 16 pixels on a side.
     pub fn features(&self, rgb: &[f32], height: usize, width: usize) -> Result<LpipsFeatures> {
-        let unit = |value: f32| if value.is_nan() { 0.0 } else { value.clamp(0.0, 1.0) };
-        let input = planar(rgb, height, width, |value| 2.0 * unit(value) - 1.0)?;
-        Ok(self.layers(input, height, width))
+        Ok(self.read_all(&normalised(rgb, height, width, of_unit)?, height, width))
     }
 
     /// The readings of an 8-bit RGB image. `rgb [H, W, 3]`
@@ -110,25 +106,30 @@ impl Lpips {
     /// # Errors
     /// As [`Lpips::features`].
     pub fn features_of_bytes(&self, rgb: &[u8], height: usize, width: usize) -> Result<LpipsFeatures> {
-        let input = planar(rgb, height, width, |value| f32::from(value) / 127.5 - 1.0)?;
-        Ok(self.layers(input, height, width))
+        Ok(self.read_all(&normalised(rgb, height, width, of_byte)?, height, width))
     }
 
-    fn layers(&self, mut values: Vec<f32>, height: usize, width: usize) -> LpipsFeatures {
-        let (mut rows, mut columns) = (height, width);
+    fn read_all(&self, image: &[f32], height: usize, width: usize) -> LpipsFeatures {
         let mut layers = Vec::with_capacity(LAYERS);
-        let mut convolutions = self.convolutions.iter();
-        for (block, &count) in BLOCKS.iter().enumerate() {
-            if block > 0 {
-                values = max_pool(&values, rows, columns);
-                (rows, columns) = (rows / 2, columns / 2);
-            }
-            for convolution in convolutions.by_ref().take(count) {
-                values = convolution.run(&values, [rows, columns], false, After::Relu, None);
-            }
-            layers.push(normalised(&values, rows * columns));
-        }
+        self.trunk.run(image, height, width, |_, maps| {
+            layers.push(readings::normalised(maps, &self.trunk.scratch));
+        });
         LpipsFeatures { height, width, layers }
+    }
+
+    /// Distance of an RGB image in [0, 1] from kept readings, without keeping its own: the same value as
+    /// [`Lpips::distance`] of both, sooner. `rgb [H, W, 3]`
+    ///
+    /// # Errors
+    /// As [`Lpips::features`], and when the readings are those of an image of another size.
+    pub fn distance_from(&self, rgb: &[f32], height: usize, width: usize, kept: &LpipsFeatures) -> Result<f64> {
+        let image = normalised(rgb, height, width, of_unit)?;
+        same_size((height, width), (kept.height, kept.width))?;
+        let mut sum = 0.0;
+        self.trunk.run(&image, height, width, |layer, maps| {
+            sum += readings::distance_of(maps, &kept.layers[layer], &self.heads[layer], &self.trunk.scratch);
+        });
+        Ok(sum)
     }
 
     /// Distance of two images from their readings.
@@ -144,118 +145,46 @@ impl Lpips {
     /// # Errors
     /// When the images have different sizes.
     pub fn layer_distances(&self, a: &LpipsFeatures, b: &LpipsFeatures) -> Result<[f64; LAYERS]> {
-        if (a.height, a.width) != (b.height, b.width) {
-            return Err(Error::BadInput(format!(
-                "LPIPS compares images of one size, found {}x{} and {}x{}",
-                a.height, a.width, b.height, b.width
-            )));
-        }
-        let term = |layer: usize| weighted_distance(&a.layers[layer], &b.layers[layer], &self.heads[layer]);
-        Ok(std::array::from_fn(term))
+        same_size((a.height, a.width), (b.height, b.width))?;
+        Ok(std::array::from_fn(|layer| {
+            let width = a.width >> layer;
+            readings::distance_between(&a.layers[layer], &b.layers[layer], width, &self.heads[layer])
+        }))
     }
 }
 
-/// Channel planes of an image with the input normalisation. `[H, W, 3] -> [3, H, W]`
-fn planar<T: Copy>(rgb: &[T], height: usize, width: usize, value: impl Fn(T) -> f32) -> Result<Vec<f32>> {
-    let area = height.saturating_mul(width);
-    if rgb.len() != area.saturating_mul(3) || height < MIN_SIDE || width < MIN_SIDE {
+fn same_size(a: (usize, usize), b: (usize, usize)) -> Result<()> {
+    if a == b {
+        return Ok(());
+    }
+    Err(Error::BadInput(format!(
+        "LPIPS compares images of one size, found {}x{} and {}x{}",
+        a.0, a.1, b.0, b.1
+    )))
+}
+
+/// A value in [0, 1] as one in [-1, 1].
+fn of_unit(value: f32) -> f32 {
+    let unit = if value.is_nan() { 0.0 } else { value.clamp(0.0, 1.0) };
+    2.0 * unit - 1.0
+}
+
+/// An 8-bit value as one in [-1, 1].
+fn of_byte(value: u8) -> f32 {
+    f32::from(value) / 127.5 - 1.0
+}
+
+/// An image with the input normalisation. `[H, W, 3]`
+fn normalised<T: Copy>(rgb: &[T], height: usize, width: usize, value: impl Fn(T) -> f32) -> Result<Vec<f32>> {
+    if rgb.len() != height.saturating_mul(width).saturating_mul(3) || height < MIN_SIDE || width < MIN_SIDE {
         return Err(Error::BadInput(format!(
             "LPIPS needs RGB images of at least {MIN_SIDE}x{MIN_SIDE} pixels, found {} values for {height}x{width}",
             rgb.len()
         )));
     }
-    let mut planes = Vec::with_capacity(area * 3);
-    for channel in 0..3 {
-        let pixels = rgb
-            .chunks_exact(3)
-            .map(|pixel| (value(pixel[channel]) - SHIFT[channel]) / SCALE[channel]);
-        planes.extend(pixels);
-    }
-    Ok(planes)
-}
-
-/// 2x2 maximum with stride 2; an odd last row or column is dropped. `[C, H, W] -> [C, H / 2, W / 2]`
-fn max_pool(values: &[f32], rows: usize, columns: usize) -> Vec<f32> {
-    let (half_rows, half_columns) = (rows / 2, columns / 2);
-    let channels = values.len() / (rows * columns);
-    let mut pooled = vec![0.0; channels * half_rows * half_columns];
-    let planes = pooled
-        .par_chunks_exact_mut(half_rows * half_columns)
-        .zip(values.par_chunks_exact(rows * columns));
-    planes.for_each(|(pooled, plane)| {
-        for (row, out) in pooled.chunks_exact_mut(half_columns).enumerate() {
-            let upper = &plane[2 * row * columns..][..columns];
-            let lower = &plane[(2 * row + 1) * columns..][..columns];
-            let pairs = upper.chunks_exact(2).zip(lower.chunks_exact(2));
-            for (out, (upper, lower)) in out.iter_mut().zip(pairs) {
-                *out = upper[0].max(upper[1]).max(lower[0].max(lower[1]));
-            }
-        }
-    });
-    pooled
-}
-
-/// Divides each pixel's feature vector by its length. `[C, pixels]`
-fn normalised(values: &[f32], pixels: usize) -> Vec<f32> {
-    let mut lengths = vec![0.0f32; pixels];
-    for plane in values.chunks_exact(pixels) {
-        lengths
-            .iter_mut()
-            .zip(plane)
-            .for_each(|(length, value)| *length += value * value);
-    }
-    lengths
-        .iter_mut()
-        .for_each(|length| *length = 1.0 / (length.sqrt() + LENGTH_FLOOR));
-    let mut scaled = vec![0.0f32; values.len()];
-    scaled
-        .par_chunks_exact_mut(pixels)
-        .zip(values.par_chunks_exact(pixels))
-        .for_each(|(scaled, plane)| {
-            for ((scaled, value), length) in scaled.iter_mut().zip(plane).zip(&lengths) {
-                *scaled = value * length;
-            }
-        });
-    scaled
-}
-
-/// Mean over pixels of the weighted squared difference. `[C, pixels]` each, `head [C]`
-fn weighted_distance(a: &[f32], b: &[f32], head: &[f32]) -> f64 {
-    let pixels = a.len() / head.len();
-    let planes: Vec<f64> = a
-        .par_chunks_exact(pixels)
-        .zip(b.par_chunks_exact(pixels))
-        .map(|(a, b)| {
-            let mut lanes = [0.0f64; 8];
-            for (a, b) in a.chunks(8).zip(b.chunks(8)) {
-                for ((lane, a), b) in lanes.iter_mut().zip(a).zip(b) {
-                    let difference = f64::from(a - b);
-                    *lane += difference * difference;
-                }
-            }
-            lanes.iter().sum()
-        })
-        .collect();
-    planes
-        .iter()
-        .zip(head)
-        .map(|(sum, &weight)| sum * f64::from(weight))
-        .sum::<f64>()
-        / pixels as f64
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn pooling_drops_an_odd_last_row_and_column() {
-        let values = [1.0, 2.0, 9.0, 4.0, 3.0, 9.0, 9.0, 9.0, 9.0];
-        assert_eq!(max_pool(&values, 3, 3), [4.0]);
-    }
-
-    #[test]
-    fn an_empty_feature_vector_stays_empty() {
-        assert_eq!(normalised(&[0.0, 3.0, 0.0, 4.0], 2), [0.0, 0.6, 0.0, 0.8]);
-    }
+    let (pixels, _) = rgb.as_chunks::<3>();
+    let pixel = |pixel: &[T; 3]| {
+        std::array::from_fn::<f32, 3, _>(|channel| (value(pixel[channel]) - SHIFT[channel]) / SCALE[channel])
+    };
+    Ok(pixels.iter().flat_map(pixel).collect())
 }

@@ -56,6 +56,11 @@ fn check(network: &Lpips, folder: &Path, golden: &Value, tolerance: f64) {
         );
         worst = worst.max((found - expected).abs() / expected);
         assert_eq!(network.distance(&b, &a).unwrap(), found, "{pair}: symmetric");
+        let (rgb, height, width) = image(folder, &format!("{pair}_a"));
+        let unit: Vec<f32> = rgb.iter().map(|&value| f32::from(value) / 255.0).collect();
+        let own = network.features(&unit, height, width).unwrap();
+        let sooner = network.distance_from(&unit, height, width, &b).unwrap();
+        assert_eq!(sooner, network.distance(&own, &b).unwrap(), "{pair}: with and without keeping");
         assert_eq!(network.distance(&a, &a).unwrap(), golden["self_zero"].as_f64().unwrap());
     }
     println!("worst relative error of distances and layer terms: {worst:.2e}");
@@ -67,7 +72,7 @@ fn the_narrow_trunk_agrees_with_the_package() {
     let Some(folder) = data() else { return };
     let network = Lpips::open(&folder.join("lpips_hash_div8.safetensors")).unwrap();
     assert_eq!(network.description(), "lpips_hash_div8.safetensors");
-    check(&network, &folder, &golden(&folder)["models"]["hash_div8"], 2e-5);
+    check(&network, &folder, &golden(&folder)["models"]["hash_div8"], 2e-6);
 }
 
 #[test]
@@ -101,7 +106,7 @@ fn the_full_trunk_agrees_with_the_package() {
     let Some(folder) = data() else { return };
     let golden = golden(&folder);
     let network = Lpips::new(full_trunk(&folder, &golden));
-    check(&network, &folder, &golden["models"]["hash_full"], 2e-5);
+    check(&network, &folder, &golden["models"]["hash_full"], 2e-6);
 }
 
 /// VGG16 shapes filled by the formula of `datasets.md` section 10, with the real heads.
@@ -155,6 +160,8 @@ fn what_cannot_be_compared_is_refused() {
     let network = Lpips::open(&folder.join("lpips_hash_div8.safetensors")).unwrap();
     assert!(network.features(&[0.0; 30], 2, 5).is_err());
     let small = network.features(&[0.5; 16 * 16 * 3], 16, 16).unwrap();
+    let wrong = network.distance_from(&[0.5; 16 * 17 * 3], 16, 17, &small).unwrap_err();
+    assert!(wrong.to_string().contains("16x17"), "{wrong}");
     let other = network.features(&[0.5; 16 * 17 * 3], 16, 17).unwrap();
     assert!(
         network

@@ -66,8 +66,8 @@ impl Perceptual {
     /// Distance of a render to an 8-bit reference image, or why there is none. `[H, W, 3]` each
     pub(crate) fn distance(&self, rgb: &[f32], reference: &[u8], height: usize, width: usize) -> Result<f64, String> {
         let features = self.reference(reference, height, width)?;
-        let own = self.network.features(rgb, height, width).map_err(|e| e.to_string())?;
-        self.network.distance(&own, &features).map_err(|e| e.to_string())
+        let distance = self.network.distance_from(rgb, height, width, &features);
+        distance.map_err(|error| error.to_string())
     }
 
     fn reference(&self, rgb: &[u8], height: usize, width: usize) -> Result<Arc<LpipsFeatures>, String> {
