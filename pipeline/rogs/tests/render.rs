@@ -339,6 +339,7 @@ fn requests_that_make_no_sense_are_refused_with_a_reason() {
         field(&["--npz", "--since", "0.3"])
     );
     assert!(field(&["--time", "0.3"]).contains("rogs query"));
+    assert!(field(&["--device", "tpu"]).contains("`cpu` or `gpu`"));
     workspace.good(&[["field.r4c", "--ply"].as_slice(), &common].concat());
     let ply = |extra: &[&str]| workspace.bad(&[&["out/field.ply"], common.as_slice(), extra].concat());
     assert!(ply(&["--ply"]).contains("PLY file already"));
@@ -346,4 +347,7 @@ fn requests_that_make_no_sense_are_refused_with_a_reason() {
     assert!(ply(&["--time", "0"]).contains("--time"));
     workspace.write("camera.json", "{\"name\": \"../up\"}");
     assert!(field(&[]).contains("camera file"));
+    // Nothing is written before all that was asked is known to make sense.
+    workspace.bad(&["field.r4c", "--ply", "--camera", "camera.json", "--out", "never"]);
+    assert!(!workspace.path("never").exists());
 }

@@ -43,6 +43,12 @@ pub enum SplatError {
         /// What is wrong and where.
         what: String,
     },
+    /// There is no graphics processor, or it cannot do what was asked.
+    #[error("graphics processor: {what}")]
+    Gpu {
+        /// What is wrong.
+        what: String,
+    },
     /// The operating system refused.
     #[error("{action} `{}`", path.display())]
     Io {
@@ -56,6 +62,12 @@ pub enum SplatError {
 }
 
 impl SplatError {
+    /// An error of the graphics processor.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn gpu(what: impl Into<String>) -> Self {
+        Self::Gpu { what: what.into() }
+    }
+
     /// Checks an array's length.
     pub(crate) fn check(array: &'static str, found: usize, expected: usize, meaning: &str) -> Result<()> {
         if found == expected {

@@ -49,10 +49,13 @@ pub mod contributions;
 pub mod error;
 pub mod field;
 pub mod gaussians;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 mod moved;
 mod order;
 pub mod ply;
 mod project;
+pub mod raster_device;
 pub mod render;
 pub mod sh;
 mod simd;
@@ -69,6 +72,9 @@ pub use contributions::{
 pub use error::{Result, SplatError};
 pub use field::{TimedField, field_camera};
 pub use gaussians::{Colour, Gaussians};
+#[cfg(feature = "gpu")]
+pub use gpu::{GpuContributions, GpuDevice, GpuScene, GpuTape};
 pub use ply::{Axes, PlyScene, export_field, export_field_in, read_ply, read_ply_file, write_ply};
+pub use raster_device::{RasterContributions, RasterDevice, RasterTape};
 pub use render::{Counts, Render, render, render_views};
 pub use simd::SimdLevel;

@@ -10,7 +10,7 @@ use rogs_geometry::{Base, Camera as CameraFrame, Pose, Recon};
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::{Intrinsics, read_record};
-use rogs_splat::{Axes, Camera, Gaussians, RasterConfig, Render, TimedField, export_field_in, render};
+use rogs_splat::{Axes, Camera, Gaussians, RasterConfig, RasterDevice, Render, TimedField, export_field_in};
 use serde::{Deserialize, Serialize};
 
 use crate::output;
@@ -68,6 +68,9 @@ pub(crate) struct ViewArgs {
     /// Frame of `field.ply`: the robot's base, or the reconstruction frame (axes of the first source camera).
     #[arg(long, value_enum, default_value_t, requires = "ply")]
     axes: AxesArg,
+    /// Where to render: `cpu`, or `gpu` where the program was built with the feature `gpu`.
+    #[arg(long, value_name = "cpu|gpu", default_value = "cpu")]
+    device: String,
     /// Print one JSON value: the files and what became of the Gaussians.
     #[arg(long)]
     json: bool,
@@ -178,6 +181,9 @@ pub(crate) fn render_field(
     time: f64,
     view: &ViewArgs,
 ) -> anyhow::Result<ExitCode> {
+    // Before anything is written.
+    read_cameras(&view.camera)?;
+    RasterDevice::open(&view.device)?;
     let refinement = match refinement {
         Some(path) => Some(read_record::<Refinement>(path)?.0),
         None => None,
@@ -219,6 +225,7 @@ fn make_folder(path: &Path) -> anyhow::Result<()> {
 
 fn render_scene(scene: &Scene, args: &ViewArgs) -> anyhow::Result<ExitCode> {
     let cameras = read_cameras(&args.camera)?;
+    let device = RasterDevice::open(&args.device)?;
     make_folder(&args.out)?;
     let views: Vec<(Pose<Recon, CameraFrame>, Camera)> = cameras
         .iter()
@@ -227,7 +234,8 @@ fn render_scene(scene: &Scene, args: &ViewArgs) -> anyhow::Result<ExitCode> {
     let mut rendered = Vec::new();
     // A view at a time: images of many large views would not fit in memory together.
     for (spec, (recon_from_camera, camera)) in cameras.iter().zip(views) {
-        let view = render(&scene.gaussians, &camera, &RasterConfig::default())?;
+        let views = device.render_views(&scene.gaussians, &[camera], &RasterConfig::default())?;
+        let view = views.into_iter().next().context("one view was asked for, none was rendered")?;
         let mut files = write(args, spec, &view, scene.units_per_metre)?;
         if args.npz {
             let path = args.out.join(format!("{}.npz", spec.name));

@@ -148,8 +148,7 @@ pub fn backward_into(
 }
 
 impl RenderGradient<'_> {
-    fn validate(&self, tape: &Tape) -> Result<()> {
-        let pixels = tape.view.width * tape.view.height;
+    pub(crate) fn validate(&self, pixels: usize, extra_channels: usize) -> Result<()> {
         let check = |array, values: &[f32], channels: usize| {
             if values.is_empty() {
                 return Ok(());
@@ -163,9 +162,9 @@ impl RenderGradient<'_> {
         check(
             "gradient of the accumulated extra channels",
             self.extra_accumulated,
-            tape.extra_channels,
+            extra_channels,
         )?;
-        check("gradient of the extra channels", self.extra, tape.extra_channels)
+        check("gradient of the extra channels", self.extra, extra_channels)
     }
 }
 

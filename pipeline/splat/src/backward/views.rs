@@ -85,7 +85,7 @@ pub(super) fn add(
     config.validate()?;
     SplatError::check("gradient images", gradients.len(), tapes.len(), "one per view")?;
     for (tape, gradient) in tapes.iter().zip(gradients) {
-        gradient.validate(tape)?;
+        gradient.validate(tape.view.width * tape.view.height, tape.extra_channels)?;
         let same = "as in the forward pass";
         SplatError::check("the scene of the backward pass", gaussians.len(), tape.gaussians, same)?;
         let (extra, expected) = (gaussians.extra_channels, tape.extra_channels);
