@@ -1,24 +1,41 @@
-//! Seconds of the parts of an update: `cargo run -p rogs-train --example speed HEIGHT WIDTH IMAGES TIMES QUERIES`.
+//! Seconds and peak memory of the parts of an update:
+//! `cargo run -p rogs-train --example speed SETTINGS.toml [UPDATES]`.
+
+use std::path::Path;
+use std::time::Instant;
+
 use burn::tensor::Device;
 use rogs_train::stream::batches;
 use rogs_train::{Course, Stage1Trainer, Stage1Training};
-use std::time::Instant;
-fn main() {
-    let mut settings = Stage1Training::default();
-    let arguments: Vec<u32> = std::env::args().skip(1).map(|a| a.parse().unwrap()).collect();
-    settings.data.size = [arguments[0], arguments[1]];
-    settings.data.images_per_step = arguments[2];
-    settings.data.source_times = [arguments[3]; 2];
-    settings.data.queries = arguments[4];
-    settings.optimiser.rate = 4e-4;
+
+/// Peak resident memory of this process, GiB.
+fn peak() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let kibibytes = line.and_then(|line| line.trim().trim_end_matches(" kB").parse::<f64>().ok());
+    kibibytes.unwrap_or(f64::NAN) / f64::from(1 << 20)
+}
+
+fn main() -> rogs_train::Result<()> {
+    let mut arguments = std::env::args().skip(1);
+    let settings = match arguments.next() {
+        Some(path) => Stage1Training::read(Path::new(&path))?,
+        None => Stage1Training::default(),
+    };
+    let updates = arguments.next().and_then(|count| count.parse().ok()).unwrap_or(6);
     let mut stream = batches(&settings, 0);
-    let mut trainer = Stage1Trainer::new(settings, &Device::flex()).unwrap();
-    for _ in 0..6 {
+    let mut trainer = Stage1Trainer::new(settings, &Device::flex())?;
+    println!("network {:.2} GiB", peak());
+    for _ in 0..updates {
         let start = Instant::now();
-        let batch = stream.next_item().unwrap().unwrap();
-        let waited = start.elapsed();
-        let start = Instant::now();
-        let report = trainer.update(&batch).unwrap();
-        println!("data {waited:?} update {:?} {report:?}", start.elapsed());
+        let Some(batch) = stream.next_item() else { break };
+        let (batch, waited, start) = (batch?, start.elapsed(), Instant::now());
+        let report = trainer.update(&batch)?;
+        let took = start.elapsed();
+        println!(
+            "clips {waited:.2?}  update {took:.2?}  peak {:.2} GiB  {report:?}",
+            peak()
+        );
     }
+    Ok(())
 }

@@ -19,6 +19,8 @@ pub struct Stage1Training {
     pub start: Option<PathBuf>,
     /// Starts the FK branch anew although the checkpoint has one.
     pub fresh_fk_branch: bool,
+    /// Weights of LPIPS-VGG, a file or a folder of files; without them `movies_lpips` is left out.
+    pub lpips: Option<PathBuf>,
     /// Seed of weights, data order and dropout.
     pub seed: u64,
     /// Updates of the whole schedule.
@@ -29,6 +31,9 @@ pub struct Stage1Training {
     pub evaluate_every: u64,
     /// Held-out clips that are scored.
     pub evaluation_clips: u64,
+    /// Computes cheap intermediate results again in the backward pass instead of keeping them: less memory, more time,
+    /// the same gradients.
+    pub gradient_checkpointing: bool,
     /// Where clips come from.
     pub data: DataSettings,
     /// What is trained, and how fast.
@@ -94,6 +99,8 @@ pub struct OptimiserSettings {
 pub struct LossWeights {
     /// Squared colour error of rendered views.
     pub movies_mse: f64,
+    /// LPIPS of rendered views.
+    pub movies_lpips: f64,
     /// Squared depth error and its gradient term at the depth head.
     pub depth_head: f64,
     /// Absolute log-depth error at the depth head.
@@ -122,11 +129,13 @@ impl Default for Stage1Training {
             configuration: "compact".into(),
             start: None,
             fresh_fk_branch: false,
+            lpips: None,
             seed: 73,
             steps: 3462,
             checkpoint_every: 100,
             evaluate_every: 200,
             evaluation_clips: 8,
+            gradient_checkpointing: false,
             data: DataSettings::default(),
             optimiser: OptimiserSettings::default(),
             losses: LossWeights::default(),
@@ -171,6 +180,7 @@ impl Default for LossWeights {
     fn default() -> Self {
         Self {
             movies_mse: 1.0,
+            movies_lpips: 0.5,
             depth_head: 1.0,
             stereo: 1.04051,
             track_head: 10.0,
@@ -189,7 +199,8 @@ impl LossWeights {
     /// Whether any loss looks at a rendered view.
     #[must_use]
     pub fn renders_views(&self) -> bool {
-        self.movies_mse > 0.0 || self.metric() || self.coverage > 0.0 || self.coverage_right > 0.0
+        let coverage = self.coverage > 0.0 || self.coverage_right > 0.0;
+        self.movies_mse > 0.0 || self.movies_lpips > 0.0 || self.metric() || coverage
     }
 
     /// Whether any loss looks at a composited displacement.
@@ -202,9 +213,10 @@ impl LossWeights {
         self.metric_final > 0.0 || self.metric_right > 0.0
     }
 
-    fn all(&self) -> [f64; 11] {
+    fn all(&self) -> [f64; 12] {
         [
             self.movies_mse,
+            self.movies_lpips,
             self.depth_head,
             self.stereo,
             self.track_head,
@@ -220,14 +232,15 @@ impl LossWeights {
 }
 
 impl Stage1Training {
-    /// Reads a TOML file. A relative `start` is taken from the file's folder.
+    /// Reads a TOML file. Relative paths are taken from the file's folder.
     ///
     /// # Errors
     /// With line and column where the file cannot be understood, or the setting that is out of range.
     pub fn read(path: &Path) -> Result<Self> {
         let mut settings: Self = read_toml(path)?;
-        if let (Some(start), Some(folder)) = (&settings.start, path.parent()) {
-            settings.start = Some(absolute(&folder.join(start))?);
+        let folder = path.parent().unwrap_or(Path::new("."));
+        for file in [&mut settings.start, &mut settings.lpips].into_iter().flatten() {
+            *file = absolute(&folder.join(&*file))?;
         }
         settings.check()?;
         Ok(settings)

@@ -8,6 +8,7 @@
 pub mod checkpoint;
 pub mod config;
 mod error;
+mod perceptual;
 mod picture;
 pub mod plan;
 pub mod records;

@@ -89,6 +89,11 @@ fn execute(command: Command) -> Result<()> {
                 None => Stage1Training::default(),
             };
             let mut trainer = Stage1Trainer::new(settings, &Device::flex())?;
+            let losses = &trainer.settings.losses;
+            left_out(
+                trainer.settings.lpips.is_none() && losses.movies_lpips > 0.0,
+                "movies_lpips",
+            );
             run(&mut trainer, &out, stop_after, &mut |line| eprintln!("{line}"))?;
             println!("{}", out.join("model.safetensors").display());
             Ok(())
@@ -98,7 +103,12 @@ fn execute(command: Command) -> Result<()> {
             out,
             stop_after,
         } => {
-            let mut trainer = Stage2Trainer::new(Stage2Training::read(&settings)?)?;
+            let settings = Stage2Training::read(&settings)?;
+            left_out(
+                settings.lpips.is_none() && settings.losses.perceptual > 0.0,
+                "perceptual",
+            );
+            let mut trainer = Stage2Trainer::new(settings)?;
             run(&mut trainer, &out, stop_after, &mut |line| eprintln!("{line}"))?;
             println!("{}", out.join("model.safetensors").display());
             Ok(())
@@ -139,5 +149,12 @@ fn execute(command: Command) -> Result<()> {
             print!("{text}");
             Ok(())
         }
+    }
+}
+
+/// Says that a loss has a weight but no network.
+fn left_out(is: bool, loss: &str) {
+    if is {
+        eprintln!("the loss `{loss}` is left out: `lpips` names no LPIPS weights in the settings");
     }
 }

@@ -1,8 +1,10 @@
 //! Training changes the network as its settings say, and a killed run goes on as if nothing had happened.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use burn::tensor::Device;
+use rogs_networks::lpips::{LpipsTensors, LpipsWeights};
 use rogs_networks::parameters::to_host;
 use rogs_random::Pcg64;
 use rogs_train::config::{DataSettings, LossWeights, OptimiserSettings};
@@ -10,7 +12,7 @@ use rogs_train::plan::ClipPlan;
 use rogs_train::run::run;
 use rogs_train::sample::Sample;
 use rogs_train::stage1::forward::lift;
-use rogs_train::stage1::objective::objective;
+use rogs_train::stage1::objective::{Losses, objective};
 use rogs_train::stage1::start;
 use rogs_train::stream::batches;
 use rogs_train::{Course, Stage1Trainer, Stage1Training};
@@ -124,6 +126,48 @@ fn updates_are_the_same_for_any_number_of_threads() {
     assert!(one == three);
 }
 
+/// A narrow network of generated weights in the shape of LPIPS-VGG.
+fn perceptual(device: &Device) -> LpipsTensors {
+    const CONVOLUTIONS: [(usize, usize, usize); 13] = [
+        (0, 3, 4),
+        (2, 4, 4),
+        (5, 4, 6),
+        (7, 6, 6),
+        (10, 6, 8),
+        (12, 8, 8),
+        (14, 8, 8),
+        (17, 8, 8),
+        (19, 8, 8),
+        (21, 8, 8),
+        (24, 8, 8),
+        (26, 8, 8),
+        (28, 8, 8),
+    ];
+    let mut random = Pcg64::from_seed(6);
+    let mut draw = |count: usize, from: f64, to: f64| -> Vec<f32> {
+        (0..count)
+            .map(|_| (from + (to - from) * random.next_double()) as f32)
+            .collect()
+    };
+    let mut tensors = BTreeMap::new();
+    for (place, inputs, outputs) in CONVOLUTIONS {
+        let weight = draw(outputs * inputs * 9, -0.3, 0.3);
+        tensors.insert(
+            format!("features.{place}.weight"),
+            (vec![outputs, inputs, 3, 3], weight),
+        );
+        tensors.insert(
+            format!("features.{place}.bias"),
+            (vec![outputs], draw(outputs, 0.0, 0.2)),
+        );
+    }
+    for (layer, channels) in [4, 6, 8, 8, 8].into_iter().enumerate() {
+        let head = (vec![1, channels, 1, 1], draw(channels, 0.0, 1.0));
+        tensors.insert(format!("lin{layer}.model.1.weight"), head);
+    }
+    LpipsTensors::new(&LpipsWeights::from_map("generated", &tensors).unwrap(), device)
+}
+
 /// The loss has the gradient of the value that is reported.
 #[test]
 fn gradients_are_those_of_the_reported_loss() {
@@ -131,6 +175,7 @@ fn gradients_are_those_of_the_reported_loss() {
     let clip = sample(&settings, 4711);
     let none = LossWeights {
         movies_mse: 0.0,
+        movies_lpips: 0.0,
         depth_head: 0.0,
         stereo: 0.0,
         track_head: 0.0,
@@ -167,6 +212,13 @@ fn gradients_are_those_of_the_reported_loss() {
             },
         ),
         (
+            "perceptual",
+            LossWeights {
+                movies_lpips: 1.0,
+                ..none
+            },
+        ),
+        (
             "composited motion",
             LossWeights {
                 track_final: 1.0,
@@ -184,10 +236,11 @@ fn gradients_are_those_of_the_reported_loss() {
         ),
     ];
     let device = Device::flex();
+    let perceptual = perceptual(&device.clone().autodiff());
     for (what, weights) in cases {
         let name = match what {
             "composited motion" => "backbone.motion_head.scratch.output_conv2.2.bias",
-            "coverage" => "backbone.splat_head.scratch.output_conv2.2.bias",
+            "coverage" | "perceptual" => "backbone.splat_head.scratch.output_conv2.2.bias",
             _ => "backbone.depth_head.scratch.output_conv2.2.bias",
         };
         let entry = match what {
@@ -203,7 +256,11 @@ fn gradients_are_those_of_the_reported_loss() {
             trainer.network.parameters.insert(name, &shape, values).unwrap();
             let network = start::tracked(&trainer.network, &settings.optimiser).unwrap();
             let lifted = lift(&network, &clip, true).unwrap();
-            let result = objective(&clip, &lifted, &weights, &mut Pcg64::from_seed(1)).unwrap();
+            let losses = Losses {
+                weights: &weights,
+                perceptual: Some(&perceptual),
+            };
+            let result = objective(&clip, &lifted, losses, &mut Pcg64::from_seed(1)).unwrap();
             let gradients = result.loss.backward();
             let gradient = network.parameters.memory()[name].values.grad(&gradients).unwrap();
             (result.value, f64::from(to_host(gradient).unwrap()[entry]))
@@ -219,6 +276,23 @@ fn gradients_are_those_of_the_reported_loss() {
             "{what}: {analytic} by the backward pass, {numeric} by differences"
         );
     }
+}
+
+/// What is computed again is what was computed before.
+#[test]
+fn gradient_checkpointing_changes_no_update() {
+    let update = |gradient_checkpointing: bool| {
+        let settings = Stage1Training {
+            gradient_checkpointing,
+            ..tiny(1)
+        };
+        let batch = batches(&settings, 0).next_item().unwrap().unwrap();
+        let mut trainer = Stage1Trainer::new(settings, &Device::flex()).unwrap();
+        let report = trainer.update(&batch).unwrap();
+        let name = "backbone.depth_head.scratch.output_conv2.2.weight";
+        (report, trainer.network.parameters.host(name).unwrap())
+    };
+    assert!(update(true) == update(false));
 }
 
 #[test]

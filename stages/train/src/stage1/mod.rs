@@ -11,6 +11,7 @@ use std::collections::BTreeMap;
 use burn::tensor::Device;
 use rayon::prelude::*;
 use rogs_networks::checkpoint::stage1_metadata;
+use rogs_networks::lpips::LpipsTensors;
 use rogs_networks::optimiser::{self, Gradients, Moments, Rule, schedule};
 use rogs_networks::parameters::Parameters;
 use rogs_networks::stage1::Stage1;
@@ -19,12 +20,13 @@ use rogs_random::Pcg64;
 use crate::checkpoint::State;
 use crate::config::Stage1Training;
 use crate::error::{Error, Result};
+use crate::perceptual::perceptual;
 use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
 use crate::sample::Sample;
 use crate::stream::{Batch, Stream, batches};
 use evaluate::evaluate;
 use forward::lift;
-use objective::objective;
+use objective::{Losses, objective};
 
 /// A run between two updates.
 pub struct Stage1Trainer {
@@ -36,6 +38,8 @@ pub struct Stage1Trainer {
     pub moments: Moments,
     /// Updates done.
     pub step: u64,
+    /// The network of `movies_lpips`.
+    perceptual: Option<LpipsTensors>,
 }
 
 impl Stage1Trainer {
@@ -45,12 +49,18 @@ impl Stage1Trainer {
     /// When settings are wrong or the checkpoint to start from cannot be opened.
     pub fn new(settings: Stage1Training, device: &Device) -> Result<Self> {
         settings.check()?;
-        let network = start::network(&settings, &device.clone().autodiff())?;
+        let mut device = device.clone().autodiff();
+        if settings.gradient_checkpointing {
+            device = device.gradient_checkpointing();
+        }
+        let network = start::network(&settings, &device)?;
+        let perceptual = perceptual(settings.lpips.as_deref(), &device)?;
         Ok(Self {
             settings,
             network,
             moments: Moments::default(),
             step: 0,
+            perceptual,
         })
     }
 
@@ -65,7 +75,15 @@ impl Stage1Trainer {
             (anchoring_dropout > 0.0 && random.next_double() < anchoring_dropout).then(|| clip.without_anchors());
         let clip = free.as_ref().unwrap_or(clip);
         let lifted = lift(&network, clip, conditioned)?;
-        let objective = objective(clip, &lifted, &settings.losses, &mut random)?;
+        let objective = objective(
+            clip,
+            &lifted,
+            Losses {
+                weights: &settings.losses,
+                perceptual: self.perceptual.as_ref(),
+            },
+            &mut random,
+        )?;
         if !objective.value.is_finite() {
             let bad = objective.terms.iter().find(|(_, value)| !value.is_finite());
             let bad = bad.map_or("total", |(key, _)| key);

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use burn::tensor::{Int, Tensor, TensorData};
+use rogs_networks::lpips::LpipsTensors;
 use rogs_networks::parameters::{from_host, to_host};
 use rogs_networks::stage1::losses;
 use rogs_random::Pcg64;
@@ -28,6 +29,15 @@ pub struct Objective {
     pub value: f64,
     /// The same as a tensor, for its gradients. `[1]`
     pub loss: Tensor<1>,
+}
+
+/// What a clip is judged by.
+#[derive(Clone, Copy)]
+pub struct Losses<'a> {
+    /// Weight of each term.
+    pub weights: &'a LossWeights,
+    /// The network of `movies_lpips`, on the device of the outputs; that term is left out without it.
+    pub perceptual: Option<&'a LpipsTensors>,
 }
 
 /// Pixels that tracks start on: row-major indices into `[S, A]`.
@@ -58,7 +68,8 @@ fn track_pixels(sample: &Sample, random: &mut Pcg64) -> Vec<i32> {
 ///
 /// # Errors
 /// When the device or the rasteriser fails.
-pub fn objective(sample: &Sample, lifted: &Lifted, weights: &LossWeights, random: &mut Pcg64) -> Result<Objective> {
+pub fn objective(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &mut Pcg64) -> Result<Objective> {
+    let weights = judged.weights;
     let device = lifted.depth.device();
     let [height, width] = sample.size;
     let (views, area) = (sample.views.len(), height * width);
@@ -103,7 +114,7 @@ pub fn objective(sample: &Sample, lifted: &Lifted, weights: &LossWeights, random
             let loss = error.sum() / (robot.sum() * 3.0 + EPSILON);
             sum.add("fk_head", weights.fk_head, share, loss)?;
         }
-        renders::add_terms(&mut sum, (sample, query), (lifted, outputs), weights, &tracks, share)?;
+        renders::add_terms(&mut sum, (sample, query), (lifted, outputs), judged, &tracks, share)?;
     }
     Ok(sum.objective)
 }

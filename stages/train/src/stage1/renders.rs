@@ -7,7 +7,7 @@ use rogs_schemas::units::m_from_iu;
 use rogs_splat::{Camera, RasterConfig};
 
 use super::forward::{Lifted, LiftedQuery, attributes, gaussians};
-use super::objective::{EPSILON, Sum};
+use super::objective::{EPSILON, Losses, Sum};
 use crate::config::LossWeights;
 use crate::error::Result;
 use crate::sample::{Query, Sample, Target};
@@ -20,12 +20,13 @@ pub(super) fn add_terms(
     sum: &mut Sum,
     (sample, query): (&Sample, &Query),
     (lifted, outputs): (&Lifted, &LiftedQuery),
-    weights: &LossWeights,
+    losses: Losses<'_>,
     tracks: &[i32],
     share: f64,
 ) -> Result<()> {
+    let weights = losses.weights;
     if weights.renders_views() {
-        views(sum, (sample, query), (lifted, outputs), weights, share)?;
+        views(sum, (sample, query), (lifted, outputs), losses, share)?;
     }
     if weights.renders_motion() {
         motion(sum, (sample, query), (lifted, outputs), weights, tracks, share)?;
@@ -38,7 +39,7 @@ fn views(
     sum: &mut Sum,
     (sample, query): (&Sample, &Query),
     (lifted, outputs): (&Lifted, &LiftedQuery),
-    weights: &LossWeights,
+    Losses { weights, perceptual }: Losses<'_>,
     share: f64,
 ) -> Result<()> {
     let device = lifted.depth.device();
@@ -50,11 +51,16 @@ fn views(
         None,
     );
     let rendered = render_views(&field, &cameras, None, &RasterConfig::default())?;
+    let colours = query.targets.iter().flat_map(|target| target.rgb.clone()).collect();
+    let seen = from_host(colours, [cameras.len(), height, width, 3], &device);
     if weights.movies_mse > 0.0 {
-        let colours = query.targets.iter().flat_map(|target| target.rgb.clone()).collect();
-        let seen = from_host(colours, [cameras.len(), height, width, 3], &device);
-        let error = (rendered.rgb - seen).powi_scalar(2).mean();
+        let error = (rendered.rgb.clone() - seen.clone()).powi_scalar(2).mean();
         sum.add("movies_mse", weights.movies_mse, share, error)?;
+    }
+    if let Some(network) = perceptual.filter(|_| weights.movies_lpips > 0.0) {
+        let planar = |images: Tensor<4>| images.permute([0, 3, 1, 2]);
+        let distance = network.distance(planar(rendered.rgb), planar(seen)).mean();
+        sum.add("movies_lpips", weights.movies_lpips, share, distance)?;
     }
     // Source cameras come first, their right eyes after them.
     let sources = query.targets.iter().filter(|target| !target.right).count();

@@ -7,9 +7,11 @@ mod views;
 
 use std::collections::BTreeMap;
 
-use burn::tensor::Device;
+use burn::tensor::{Device, Tensor};
+use rogs_networks::lpips::LpipsTensors;
 use rogs_networks::optimiser::{self, Moments, schedule};
 use rogs_networks::parameters::Parameters;
+use rogs_networks::stage2::objective::{Perceptual, RenderedView};
 use rogs_networks::stage2::{Refiner, RefinerConfig, read_weights, seeded_parameters, verify_parameters};
 use rogs_random::Pcg64;
 use rogs_refine::training::{AdamW, TermValues, TrainingOptions, training_step};
@@ -22,6 +24,7 @@ pub use self::settings::{Stage2Losses, Stage2Training};
 use self::views::{picture, seen, view};
 use crate::checkpoint::State;
 use crate::error::{Error, Result};
+use crate::perceptual::perceptual;
 use crate::picture::peak_signal;
 use crate::plan::ClipPlan;
 use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
@@ -35,6 +38,7 @@ fn terms_of(updates: &[TermValues]) -> BTreeMap<String, f64> {
         for (key, value) in [
             ("rendering after the first update", first.rendering),
             ("rendering", last.rendering),
+            ("perceptual", last.perceptual),
             ("depth", last.depth),
             ("robot", last.robot),
             ("motion", last.motion),
@@ -54,6 +58,7 @@ pub struct Stage2Trainer {
     config: RefinerConfig,
     parameters: Parameters,
     optimiser: AdamW,
+    perceptual: Option<LpipsTensors>,
 }
 
 impl Stage2Trainer {
@@ -73,6 +78,7 @@ impl Stage2Trainer {
             }
             None => seeded_parameters(&config, settings.seed, &device)?,
         };
+        let perceptual = perceptual(settings.lpips.as_deref(), &device)?;
         let optimiser = AdamW {
             weight_decay: settings.weight_decay,
             clip: settings.clip,
@@ -83,6 +89,7 @@ impl Stage2Trainer {
             config,
             parameters,
             optimiser,
+            perceptual,
         })
     }
 
@@ -163,11 +170,16 @@ impl Course for Stage2Trainer {
         let draw = Pcg64::from_seeds(&[self.settings.seed, 3, self.step()]).next_double();
         let updates = (fewest + (draw * f64::from(most - fewest + 1)) as u32).min(most);
         let (leaves, refiner) = self.refiner(true)?;
+        let [height, width] = self.settings.data.size.map(|side| side as usize);
+        let distance = self.perceptual.as_ref().map(|network| {
+            let planar = move |rgb: &Tensor<2>| rgb.clone().reshape([1, height, width, 3]).permute([0, 3, 1, 2]);
+            move |view: &RenderedView| network.distance(planar(&view.rgb), planar(&view.observed_rgb))
+        });
         let options = TrainingOptions {
             weights: self.settings.losses.into(),
             frames: &batch.frames,
             right_views: true,
-            perceptual: None,
+            perceptual: distance.as_ref().map(|distance| distance as Perceptual<'_>),
         };
         let result = training_step(batch.inputs(), &refiner, &self.params(updates), &options)?;
         if !result.objective.is_finite() {

@@ -20,6 +20,8 @@ pub struct Stage2Training {
     pub lift: PathBuf,
     /// Weights to start from; without them, seeded ones whose last layer is zero.
     pub start: Option<PathBuf>,
+    /// Weights of LPIPS-VGG, a file or a folder of files; without them `perceptual` is left out.
+    pub lpips: Option<PathBuf>,
     /// Seed of weights and data order.
     pub seed: u64,
     /// Updates of the parameters in the whole schedule.
@@ -48,12 +50,14 @@ pub struct Stage2Training {
     pub losses: Stage2Losses,
 }
 
-/// Weights of the losses of Stage 2; the perceptual one needs the user's LPIPS weights and is left out.
+/// Weights of the losses of Stage 2.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Stage2Losses {
     /// Absolute colour difference.
     pub rendering: f64,
+    /// LPIPS.
+    pub perceptual: f64,
     /// Relative metric depth.
     pub depth: f64,
     /// Robot position against forward kinematics.
@@ -73,6 +77,7 @@ impl Default for Stage2Losses {
         let weights = ObjectiveWeights::default();
         Self {
             rendering: weights.rendering,
+            perceptual: weights.perceptual,
             depth: weights.depth,
             robot: weights.robot,
             motion: weights.motion,
@@ -87,7 +92,7 @@ impl From<Stage2Losses> for ObjectiveWeights {
     fn from(losses: Stage2Losses) -> Self {
         Self {
             rendering: losses.rendering,
-            perceptual: 0.0,
+            perceptual: losses.perceptual,
             depth: losses.depth,
             robot: losses.robot,
             motion: losses.motion,
@@ -105,6 +110,7 @@ impl Default for Stage2Training {
             preset: "cpu".into(),
             lift: PathBuf::new(),
             start: None,
+            lpips: None,
             seed: 73,
             steps: 2000,
             checkpoint_every: 50,
@@ -135,8 +141,8 @@ impl Stage2Training {
         let mut settings: Self = config::read_toml(path)?;
         let folder = path.parent().unwrap_or(Path::new("."));
         settings.lift = config::absolute(&folder.join(&settings.lift))?;
-        if let Some(start) = &settings.start {
-            settings.start = Some(config::absolute(&folder.join(start))?);
+        for file in [&mut settings.start, &mut settings.lpips].into_iter().flatten() {
+            *file = config::absolute(&folder.join(&*file))?;
         }
         settings.check()?;
         Ok(settings)
@@ -180,6 +186,7 @@ impl Stage2Training {
         let losses = &self.losses;
         let weights = [
             losses.rendering,
+            losses.perceptual,
             losses.depth,
             losses.robot,
             losses.motion,
