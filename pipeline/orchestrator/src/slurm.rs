@@ -323,35 +323,79 @@ fn script(prepared: &Prepared, name: &str, mut options: Vec<String>, words: &[St
     }
 }
 
-/// Runs one `sbatch` and returns the job's id.
+/// Waits between attempts to hand a job to a controller that is busy, milliseconds.
+const PATIENCE_MS: [u64; 4] = [250, 1000, 4000, 15_000];
+
+/// What clients of Slurm say when the controller is too busy or just away; the same call may work a moment later.
+const PASSING: [&str; 7] = [
+    "Socket timed out",
+    "Unable to contact slurm controller",
+    "Zero Bytes were transmitted",
+    "Resource temporarily unavailable",
+    "temporarily unable to accept job",
+    "in standby mode",
+    "Protocol authentication error",
+];
+
+/// Runs one `sbatch`, again where the trouble may pass, and returns the job's id.
+///
+/// A controller that timed out may have taken the job all the same. Then two elements meet on a unit: the second finds
+/// it up to date, or makes the same bytes.
 fn sbatch(command: &[String]) -> Result<String> {
+    let mut waits = PATIENCE_MS.iter();
+    loop {
+        match (sbatch_once(command), waits.next()) {
+            (Refusal::Passing(_), Some(&wait)) => std::thread::sleep(std::time::Duration::from_millis(wait)),
+            (Refusal::Passing(error) | Refusal::Final(error), _) => return Err(error),
+            (Refusal::None(id), _) => return Ok(id),
+        }
+    }
+}
+
+/// How a call of `sbatch` ended.
+enum Refusal {
+    /// Not refused: the job's id.
+    None(String),
+    Passing(Error),
+    Final(Error),
+}
+
+fn sbatch_once(command: &[String]) -> Refusal {
     let error = |message: String| Error::Program {
         program: "sbatch".to_owned(),
         message,
         hint: None,
     };
     let [program, arguments @ ..] = command else {
-        return Err(error("empty command".to_owned()));
+        return Refusal::Final(error("empty command".to_owned()));
     };
-    let output = Command::new(program).args(arguments).stdin(Stdio::null()).output();
-    let output = output.map_err(|why| {
-        error(format!("cannot be started: {why}"))
-            .with_hint("run this where Slurm is installed, or use `rogs plan --emit jsonl` with another engine")
-    })?;
+    let output = match Command::new(program).args(arguments).stdin(Stdio::null()).output() {
+        Ok(output) => output,
+        Err(why) => {
+            let error = error(format!("cannot be started: {why}"));
+            let hint = "run this where Slurm is installed, or use `rogs plan --emit jsonl` with another engine";
+            return Refusal::Final(error.with_hint(hint));
+        }
+    };
     if !output.status.success() {
-        return Err(error(format!(
-            "refused ({}): {}",
-            output.status,
-            String::from_utf8_lossy(&output.stderr).trim()
-        )));
+        let said = String::from_utf8_lossy(&output.stderr).trim().to_owned();
+        let error = error(format!("refused ({}): {said}", output.status));
+        // One that says nothing was killed, or lost its connection before it could.
+        let passing = said.is_empty() || PASSING.iter().any(|what| said.contains(what));
+        return if passing {
+            let hint = "is the controller well (`scontrol ping`)? The same command goes on";
+            Refusal::Passing(error.with_hint(hint))
+        } else {
+            Refusal::Final(error)
+        };
     }
     // `ID` or `ID;CLUSTER`
     let answer = String::from_utf8_lossy(&output.stdout).into_owned();
     let id = answer.trim().split(';').next().unwrap_or_default().to_owned();
     if id.is_empty() || !id.bytes().all(|byte| byte.is_ascii_digit()) {
-        return Err(error(format!("answered no job id: `{}`", answer.trim())));
+        return Refusal::Final(error(format!("answered no job id: `{}`", answer.trim())));
     }
-    Ok(id)
+    Refusal::None(id)
 }
 
 /// Largest array that this Slurm takes; its usual limit where Slurm does not answer.

@@ -184,6 +184,46 @@ fn submissions_chain_the_arrays_and_the_next_one_is_sparse() {
 }
 
 #[test]
+fn a_controller_that_is_away_for_a_moment_is_asked_again_and_a_refusal_is_told() {
+    let workspace = Workspace::new();
+    let bin = workspace.path("bin");
+    // The first call of each script finds the controller busy.
+    let sbatch = "#!/bin/sh\nfor last; do :; done\nprintf '%s\\n' \"$last\" >> \"$FAKE_LOG\"\n\
+        if [ -n \"$FAKE_REFUSAL\" ]; then echo \"$FAKE_REFUSAL\" >&2; exit 1; fi\n\
+        if [ \"$(grep -c -x -F -- \"$last\" \"$FAKE_LOG\")\" = 1 ]; then\n\
+        echo 'sbatch: error: Batch job submission failed: Socket timed out on send/recv operation' >&2; exit 1; fi\n\
+        wc -l < \"$FAKE_LOG\" | tr -d ' '\n";
+    workspace.write("bin/sbatch", sbatch);
+    Command::new("chmod")
+        .args(["+x"])
+        .arg(bin.join("sbatch"))
+        .status()
+        .unwrap();
+    let path = std::env::var("PATH").unwrap();
+    let submit = |log: &str, refusal: &str| {
+        let mut command = Command::new(example("toy_pipeline"));
+        command.arg("submit").arg(workspace.path("toy.toml")).args(["1", "1"]);
+        command
+            .env("PATH", format!("{}:{path}", bin.display()))
+            .env("FAKE_LOG", workspace.path(log))
+            .env("FAKE_REFUSAL", refusal);
+        let output = command.output().unwrap();
+        let calls = std::fs::read_to_string(workspace.path(log)).unwrap().lines().count();
+        (
+            output.status.code().unwrap(),
+            calls,
+            String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr),
+        )
+    };
+    let (code, calls, text) = submit("refused.log", "sbatch: error: invalid partition specified: none");
+    assert_eq!((code, calls), (70, 1), "{text}");
+    assert!(text.contains("invalid partition specified: none"), "{text}");
+    let (code, calls, text) = submit("busy.log", "");
+    assert_eq!((code, calls), (0, 12), "{text}");
+    assert!(text.contains(r#""ids":["2","4","6","8","10","12"]"#), "{text}");
+}
+
+#[test]
 fn gc_removes_what_no_plan_names_and_nothing_else() {
     let workspace = Workspace::new();
     workspace.manifest("[[variants]]\nname = \"v\"\nlift.seed = 1\n");

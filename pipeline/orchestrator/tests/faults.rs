@@ -119,7 +119,10 @@ fn an_operation_that_fails_or_a_process_that_dies_at_it_loses_nothing() {
 #[test]
 #[ignore = "long: every file operation of a run fails in eight ways"]
 fn any_operation_may_fail_in_any_way() {
-    let struck = strike(&["EIO", "ENOSPC", "EDQUOT", "EINTR", "EMFILE", "abort", "+EIO", "+ENOSPC"], 40);
+    let struck = strike(
+        &["EIO", "ENOSPC", "EDQUOT", "EINTR", "EMFILE", "abort", "+EIO", "+ENOSPC"],
+        40,
+    );
     eprintln!("{struck} runs were struck");
     assert!(struck > 100, "{struck}");
 }

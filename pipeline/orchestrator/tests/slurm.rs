@@ -5,9 +5,8 @@ mod cluster;
 mod common;
 
 use std::process::Command;
-use std::sync::Arc;
 
-use cluster::{Cluster, wait_until};
+use cluster::{Cluster, Turn, wait_until};
 use common::{Workspace, example, programs, walk};
 use rogs_orchestrator::{Exit, export, status};
 
@@ -22,8 +21,8 @@ const STAGES: [&str; 6] = ["ingest", "robot-maps", "conditioning", "lift", "refi
 /// A workspace on a cluster.
 struct Site {
     workspace: Workspace,
-    cluster: Arc<Cluster>,
     control: tempfile::TempDir,
+    turn: Turn,
 }
 
 /// What a submission printed.
@@ -42,13 +41,13 @@ impl Submitted {
 impl Site {
     /// `None` where there is no Slurm; the reason is printed.
     fn new() -> Option<Self> {
-        let cluster = Cluster::get()?;
+        let turn = Cluster::get()?;
         let workspace = Workspace::new();
         workspace.manifest(SLURM);
         Some(Self {
             workspace,
-            cluster,
             control: tempfile::tempdir().unwrap(),
+            turn,
         })
     }
 
@@ -58,7 +57,7 @@ impl Site {
             .arg("submit")
             .arg(self.workspace.path("toy.toml"))
             .args(["1", "1"])
-            .env("SLURM_CONF", self.cluster.configuration())
+            .env("SLURM_CONF", self.turn.cluster.configuration())
             .env("ROGS_TOY_FINALLY", "1")
             .env("ROGS_TOY_HOLD", hold)
             .env("ROGS_TOY_FOLDER", self.control.path())
@@ -76,7 +75,7 @@ impl Site {
     /// Submits and waits for the end of all jobs.
     fn submit_and_wait(&self) -> Submitted {
         let submitted = self.submit("");
-        self.cluster.wait_for(&submitted.ids);
+        self.turn.cluster.wait_for(&submitted.ids);
         submitted
     }
 
@@ -166,12 +165,14 @@ fn one_corrupt_episode_leaves_the_others_alone_and_the_next_submission_is_sparse
     // What follows the failure is blocked, not lost; the last stage of the shard tells by its exit status.
     assert_eq!(status.nodes[4].blocked, 1, "{}", status.table());
     assert!(
-        site.cluster
+        site.turn
+            .cluster
             .job(&format!("{}_1", submitted.id("score")))
             .contains("ExitCode=1:0")
     );
     assert!(
-        site.cluster
+        site.turn
+            .cluster
             .job(&format!("{}_0", submitted.id("score")))
             .contains("ExitCode=0:0")
     );
@@ -207,11 +208,11 @@ fn a_killed_task_loses_one_unit_and_nothing_done_is_made_again() {
             .unwrap()
             .success()
     );
-    site.cluster.wait_for(&submitted.ids);
-    let lost = site.cluster.job(&format!("{}_1", submitted.id("lift")));
+    site.turn.cluster.wait_for(&submitted.ids);
+    let lost = site.turn.cluster.job(&format!("{}_1", submitted.id("lift")));
     assert!(lost.contains("ExitCode=0:9"), "{lost}");
     // The dependents of the lost element are cancelled instead of waiting for ever.
-    let dependent = site.cluster.job(&format!("{}_1", submitted.id("refine")));
+    let dependent = site.turn.cluster.job(&format!("{}_1", submitted.id("refine")));
     assert!(dependent.contains("JobState=CANCELLED"), "{dependent}");
     let status = site.status();
     assert_eq!((status.clips.done, status.clips.failed), (2, 0), "{}", status.table());
@@ -237,11 +238,13 @@ fn a_drained_task_ends_with_75_leaves_nothing_behind_and_goes_on() {
     let submitted = site.submit("b@conditioning@begin");
     site.held();
     let element = format!("{}_1", submitted.id("conditioning"));
-    site.cluster.ask("scancel", &["--signal=TERM", "--batch", &element]);
+    site.turn
+        .cluster
+        .ask("scancel", &["--signal=TERM", "--batch", &element]);
     // The signal is there when the worker goes on: its next look at the world is the end of the unit.
     std::fs::write(site.control.path().join("release"), "").unwrap();
-    site.cluster.wait_for(&submitted.ids);
-    let drained = site.cluster.job(&element);
+    site.turn.cluster.wait_for(&submitted.ids);
+    let drained = site.turn.cluster.job(&element);
     assert!(
         drained.contains("ExitCode=75:0") || drained.contains("ExitCode=0:0"),
         "{drained}"
@@ -293,9 +296,10 @@ fn a_unit_whose_predecessor_vanished_names_the_input_it_lacks() {
     // Slurm takes a dependency on a job that it does not know, and starts at once.
     let script = run.join("slurm/lift.sbatch").display().to_string();
     let id = site
+        .turn
         .cluster
         .ask("sbatch", &["--parsable", "--dependency=afterok:4000000", &script]);
-    site.cluster.wait_for(std::slice::from_ref(&id));
+    site.turn.cluster.wait_for(std::slice::from_ref(&id));
     let log = site.log("lift", &id, 1);
     assert!(log.contains("b lift: blocked: its input `conditioning` ("), "`{log}`");
     assert!(log.contains("0 made, 0 up to date, 0 failed, 1 blocked"), "`{log}`");

@@ -6,7 +6,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 /// A running cluster; stopped when the last test lets go of it.
@@ -26,9 +26,26 @@ pub fn wait_until(what: &str, mut happened: impl FnMut() -> bool) {
     }
 }
 
+/// A test at a time: one that waits holds the cluster already, so that it is started once.
+static TURN: Mutex<()> = Mutex::new(());
+
+/// The cluster while it is one test's turn.
+pub struct Turn {
+    pub cluster: Arc<Cluster>,
+    _turn: MutexGuard<'static, ()>,
+}
+
 impl Cluster {
-    /// The cluster, or `None` with a printed reason where none can be had.
-    pub fn get() -> Option<Arc<Self>> {
+    /// The cluster for one test, or `None` with a printed reason where none can be had.
+    pub fn get() -> Option<Turn> {
+        let cluster = Self::shared()?;
+        Some(Turn {
+            cluster,
+            _turn: TURN.lock().unwrap_or_else(PoisonError::into_inner),
+        })
+    }
+
+    fn shared() -> Option<Arc<Self>> {
         let mut shared = SHARED.lock().unwrap_or_else(PoisonError::into_inner);
         let found = match &*shared {
             Ok(weak) => match weak.upgrade() {
@@ -43,12 +60,12 @@ impl Cluster {
                 Some(cluster)
             }
             Err(why) => {
+                *shared = Err(why.clone());
                 assert!(
                     std::env::var_os("ROGS_REQUIRE_SLURM").is_none(),
                     "no Slurm to test with: {why}"
                 );
                 eprintln!("skipped: no Slurm to test with: {why}");
-                *shared = Err(why);
                 None
             }
         }
@@ -85,7 +102,9 @@ impl Cluster {
         cluster.daemon("slurmd", &["-N", "n2", "-c"])?;
         let start = Instant::now();
         loop {
-            let states = cluster.ask("sinfo", &["-h", "-N", "-o", "%T"]);
+            let states = cluster
+                .try_ask("sinfo", &["-h", "-N", "-o", "%T"])
+                .unwrap_or_else(|why| why);
             if states.lines().count() == 2 && states.lines().all(|state| state == "idle") {
                 return Ok(cluster);
             }
@@ -124,7 +143,7 @@ impl Cluster {
              JobCompType=jobcomp/filetxt\nJobCompLoc={root}/log/jobcomp.txt\nSelectType=select/cons_tres\n\
              SelectTypeParameters=CR_Core_Memory\nSchedulerType=sched/backfill\n\
              SchedulerParameters=sched_interval=1,bf_interval=1,batch_sched_delay=0,sched_min_interval=0\n\
-             KillWait=2\nReturnToService=2\nDependencyParameters=kill_invalid_depend\n\
+             KillWait=2\nReturnToService=2\nMinJobAge=3600\nMessageTimeout=90\nTCPTimeout=30\nDependencyParameters=kill_invalid_depend\n\
              SlurmdParameters=config_overrides\nStateSaveLocation={root}/state\nSlurmdSpoolDir={root}/spool/%n\n\
              SlurmctldPidFile={root}/slurmctld.pid\nSlurmdPidFile={root}/slurmd.%n.pid\n\
              SlurmctldLogFile={root}/log/slurmctld.log\nSlurmdLogFile={root}/log/slurmd.%n.log\nGresTypes=gpu\n\
@@ -172,23 +191,49 @@ impl Cluster {
         Err(format!("`{program}` does not start ({status}): {}", said.trim()))
     }
 
-    /// Answer of a client program; empty when it fails.
-    pub fn ask(&self, program: &str, arguments: &[&str]) -> String {
+    /// Answer of a client program; what it says when it fails.
+    fn try_ask(&self, program: &str, arguments: &[&str]) -> Result<String, String> {
         let output = Command::new("timeout")
-            .args(["60", program])
+            .args(["120", program])
             .args(arguments)
             .env("SLURM_CONF", self.configuration())
             .stdin(Stdio::null())
             .output()
             .unwrap();
-        String::from_utf8_lossy(&output.stdout).trim().to_owned()
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).trim().to_owned();
+        if output.status.success() {
+            Ok(text(&output.stdout))
+        } else {
+            Err(format!("{}: {}", output.status, text(&output.stderr)))
+        }
+    }
+
+    /// The same, again until it is answered: a busy controller answers late or not at all.
+    pub fn ask(&self, program: &str, arguments: &[&str]) -> String {
+        let mut answer = None;
+        let mut said = String::new();
+        wait_until(&format!("an answer of `{program}`"), || {
+            match self.try_ask(program, arguments) {
+                Ok(text) => answer = Some(text),
+                // Told as it happens, so that a failure of the test shows what Slurm had to say.
+                Err(why) if why != said => {
+                    eprintln!("{program} {}: {why}", arguments.join(" "));
+                    said = why;
+                }
+                Err(_) => {}
+            }
+            answer.is_some()
+        });
+        answer.unwrap_or_default()
     }
 
     /// Waits until none of these jobs waits or runs any more.
     pub fn wait_for(&self, ids: &[String]) {
         let list = ids.join(",");
         wait_until("Slurm jobs to end", || {
-            self.ask("squeue", &["-h", "-r", "-o", "%i", "-j", &list]).is_empty()
+            // No answer is not the answer that nothing is left.
+            self.try_ask("squeue", &["-h", "-r", "-o", "%i", "-j", &list])
+                .is_ok_and(|left| left.is_empty())
         });
     }
 
