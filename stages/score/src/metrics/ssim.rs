@@ -4,6 +4,8 @@
 //! four maps are filtered instead of five. Rows are filtered with the channels interleaved: a tap of the horizontal pass
 //! is three values away, and every loop runs over contiguous memory.
 
+use std::cell::RefCell;
+
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -25,8 +27,13 @@ const GROUP: usize = 4;
 const GROUP_ROWS: usize = TAPS + GROUP - 1;
 /// Slots of the ring of input rows; at least `GROUP_ROWS`.
 const RING: usize = 16;
-/// Widest vector of any instruction set.
+/// Widest vector of any instruction set, and the number of running sums.
 const MAX_LANES: usize = 8;
+
+thread_local! {
+    /// Rows of a band. Kept, because fresh memory has to be cleared page by page.
+    static BUFFER: RefCell<Vec<f64>> = const { RefCell::new(Vec::new()) };
+}
 
 /// Which of the SSIM definitions in use. They differ in the third decimal; a table names the one it holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, schemars::JsonSchema)]
@@ -98,10 +105,16 @@ pub fn ssim(prediction: &RgbView<'_>, reference: &RgbView<'_>, variant: SsimVari
     };
     let starts: Vec<usize> = (0..plan.out_height).step_by(BAND).collect();
     let arch = pulp::Arch::new();
-    let sums: Vec<f64> = starts
-        .par_iter()
-        .map(|&start| arch.dispatch(Band { plan: &plan, start }))
-        .collect();
+    let sum = |&start: &usize| {
+        BUFFER.with_borrow_mut(|buffer| {
+            arch.dispatch(Band {
+                plan: &plan,
+                start,
+                buffer,
+            })
+        })
+    };
+    let sums: Vec<f64> = starts.par_iter().map(sum).collect();
     Ok(sums.iter().sum::<f64>() / (plan.out_height * plan.out_width * CHANNELS) as f64)
 }
 
@@ -130,6 +143,7 @@ struct Plan<'a> {
 struct Band<'a> {
     plan: &'a Plan<'a>,
     start: usize,
+    buffer: &'a mut Vec<f64>,
 }
 
 impl WithSimd for Band<'_> {
@@ -137,27 +151,26 @@ impl WithSimd for Band<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> f64 {
-        self.plan.band(simd, self.start)
+        self.plan.band(simd, self.start, self.buffer)
     }
 }
 
 impl Plan<'_> {
     /// Sum of the index over the output rows `start..start + BAND` (or fewer at the end).
     #[inline(always)]
-    fn band<S: Simd>(&self, simd: S, start: usize) -> f64 {
+    fn band<S: Simd>(&self, simd: S, start: usize, buffer: &mut Vec<f64>) -> f64 {
         let end = (start + BAND).min(self.out_height);
         let in_row = (self.out_width + 2 * RADIUS) * CHANNELS;
         let out_row = self.out_width * CHANNELS;
-        let out_stride = out_row.next_multiple_of(MAX_LANES);
         // The horizontal pass reads whole vectors up to its last tap.
-        let stride = (out_stride + 2 * RADIUS * CHANNELS).next_multiple_of(MAX_LANES);
+        let stride = out_row.next_multiple_of(MAX_LANES) + (2 * RADIUS * CHANNELS).next_multiple_of(MAX_LANES);
         let slot_length = MAPS * stride;
-        // [RING, MAPS, stride]: the input rows of the current group of output rows.
-        let mut ring = vec![0.0f64; RING * slot_length];
-        // [GROUP, MAPS, stride] and [MAPS, out_stride]
-        let mut vertical = vec![0.0f64; GROUP * slot_length];
-        let mut means = vec![0.0f64; MAPS * out_stride];
-        let mut sums = [0.0f64; 8];
+        // What an earlier band left beyond the image only reaches lanes that are not counted.
+        let length = (RING + GROUP) * slot_length;
+        buffer.resize(buffer.len().max(length), 0.0);
+        // [RING, MAPS, stride]: the input rows of the current group of output rows; [GROUP, MAPS, stride].
+        let (ring, vertical) = buffer[..length].split_at_mut(RING * slot_length);
+        let mut sums = [0.0f64; MAX_LANES];
         let mut loaded = start;
         for first in (start..end).step_by(GROUP) {
             while loaded < first + GROUP_ROWS {
@@ -172,12 +185,9 @@ impl Plan<'_> {
                 let slot = (first + row) % RING * slot_length;
                 &ring[slot..slot + slot_length]
             });
-            filter_group(simd, &rows, &self.taps, &mut vertical);
+            filter_group(simd, &rows, &self.taps, vertical);
             for filtered in vertical.chunks_exact(slot_length).take(end - first) {
-                for (line, means) in filtered.chunks_exact(stride).zip(means.chunks_exact_mut(out_stride)) {
-                    filter_row(simd, line, &self.taps, means);
-                }
-                self.accumulate(&means, out_row, &mut sums);
+                self.accumulate(simd, filtered, out_row, &mut sums);
             }
         }
         fold_lanes(sums)
@@ -211,28 +221,48 @@ impl Plan<'_> {
         }
     }
 
-    /// Adds the index of one output row to eight running sums.
+    /// Filters one row of the four maps, already filtered downwards, and adds its `length` indices to eight running sums.
     #[inline(always)]
-    fn accumulate(&self, means: &[f64], row: usize, sums: &mut [f64; 8]) {
-        let stride = means.len() / MAPS;
-        let (x, rest) = means.split_at(stride);
-        let (y, rest) = rest.split_at(stride);
-        let (squares, products) = rest.split_at(stride);
-        let (x, y, squares, products) = (&x[..row], &y[..row], &squares[..row], &products[..row]);
-        let index_at = |at: usize| {
-            let (mean_product, mean_squares) = (x[at] * y[at], x[at] * x[at] + y[at] * y[at]);
-            let covariance = self.factor * (products[at] - mean_product);
-            let variances = self.factor * (squares[at] - mean_squares);
-            (2.0 * mean_product + C1) * (2.0 * covariance + C2) / ((mean_squares + C1) * (variances + C2))
-        };
-        let whole = row - row % 8;
-        for block in (0..whole).step_by(8) {
-            for lane in 0..8 {
-                sums[lane] += index_at(block + lane);
+    fn accumulate<S: Simd>(&self, simd: S, maps: &[f64], length: usize, sums: &mut [f64; MAX_LANES]) {
+        let parts = MAX_LANES / S::F64_LANES;
+        let stride = maps.len() / MAPS;
+        let taps = self.taps.map(|tap| simd.splat_f64s(tap));
+        let number = |value: f64| simd.splat_f64s(value);
+        let (c1, c2, factor) = (number(C1), number(C2), number(self.factor));
+        let mut running = [number(0.0); MAX_LANES];
+        for (part, sums) in S::as_simd_f64s(&sums[..]).0.iter().enumerate() {
+            running[part] = *sums;
+        }
+        let mut last = [0.0f64; MAX_LANES];
+        for start in (0..length).step_by(MAX_LANES) {
+            for part in 0..parts {
+                let at = start + part * S::F64_LANES;
+                let map = |map: usize| &maps[map * stride + at..];
+                let (x, y) = (filtered(simd, map(0), &taps), filtered(simd, map(1), &taps));
+                let (squares, products) = (filtered(simd, map(2), &taps), filtered(simd, map(3), &taps));
+                let mean_product = simd.mul_f64s(x, y);
+                let mean_squares = simd.mul_add_f64s(x, x, simd.mul_f64s(y, y));
+                let covariance = simd.mul_f64s(factor, simd.sub_f64s(products, mean_product));
+                let variances = simd.mul_f64s(factor, simd.sub_f64s(squares, mean_squares));
+                let twice = |value| simd.add_f64s(value, value);
+                let above = simd.mul_f64s(
+                    simd.add_f64s(twice(mean_product), c1),
+                    simd.add_f64s(twice(covariance), c2),
+                );
+                let below = simd.mul_f64s(simd.add_f64s(mean_squares, c1), simd.add_f64s(variances, c2));
+                let index = simd.div_f64s(above, below);
+                if start + MAX_LANES <= length {
+                    running[part] = simd.add_f64s(running[part], index);
+                } else {
+                    S::as_mut_simd_f64s(&mut last[..]).0[part] = index;
+                }
             }
         }
-        for at in whole..row {
-            sums[at - whole] += index_at(at);
+        for (part, sums) in S::as_mut_simd_f64s(&mut sums[..]).0.iter_mut().enumerate() {
+            *sums = running[part];
+        }
+        for (sum, index) in sums.iter_mut().zip(&last).take(length % MAX_LANES) {
+            *sum += index;
         }
     }
 }
@@ -270,22 +300,16 @@ fn weighted<S: Simd>(simd: S, values: &[S::f64s; GROUP_ROWS], first: usize, taps
     sum
 }
 
-/// The horizontal pass of one row: `out[j] = sum_k taps[k] * line[j + 3 k]`, taps in order.
+/// The horizontal pass for one vector: `sum_k taps[k] * line[j + 3 k]`, taps in order.
 #[inline(always)]
-fn filter_row<S: Simd>(simd: S, line: &[f64], taps: &[f64; TAPS], out: &mut [f64]) {
-    let length = out.len();
-    let out = S::as_mut_simd_f64s(out).0;
-    let vectors = out.len();
-    let shifted: [&[S::f64s]; TAPS] =
-        std::array::from_fn(|tap| &S::as_simd_f64s(&line[tap * CHANNELS..tap * CHANNELS + length]).0[..vectors]);
-    let taps = taps.map(|tap| simd.splat_f64s(tap));
-    for at in 0..vectors {
-        let mut sum = simd.mul_f64s(taps[0], shifted[0][at]);
-        for tap in 1..TAPS {
-            sum = simd.mul_add_f64s(taps[tap], shifted[tap][at], sum);
-        }
-        out[at] = sum;
+fn filtered<S: Simd>(simd: S, line: &[f64], taps: &[S::f64s; TAPS]) -> S::f64s {
+    let line = &line[..(TAPS - 1) * CHANNELS + S::F64_LANES];
+    let tap = |tap: usize| S::as_simd_f64s(&line[tap * CHANNELS..tap * CHANNELS + S::F64_LANES]).0[0];
+    let mut sum = simd.mul_f64s(taps[0], tap(0));
+    for index in 1..TAPS {
+        sum = simd.mul_add_f64s(taps[index], tap(index), sum);
     }
+    sum
 }
 
 /// Reflection without repeating the edge pixel: -1 is 1, `length` is `length - 2`.
