@@ -1,7 +1,7 @@
 //! Rotations, rigid transforms and seeded numbers. Trigonometry goes through `libm`, so that files do not depend on the
 //! platform's.
 
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DAffine3, DMat3, DVec3, Vec3};
 use rogs_random::Pcg64;
 use rogs_schemas::RigidPose;
 
@@ -57,6 +57,17 @@ pub(crate) fn rotation_vector(r: &DMat3) -> DVec3 {
 /// A rigid transform of a rotation and a translation.
 pub(crate) fn rigid(rotation: DMat3, translation: DVec3) -> DAffine3 {
     DAffine3::from_mat3_translation(rotation, translation)
+}
+
+/// Rounds towards negative infinity. For numbers that fit into an `i32`; without SSE4.1 the library's is a call.
+pub(crate) fn floor(x: f32) -> f32 {
+    let cut = x as i32 as f32;
+    if cut > x { cut - 1.0 } else { cut }
+}
+
+/// [`floor`] of each coordinate.
+pub(crate) fn floor3(v: Vec3) -> Vec3 {
+    Vec3::new(floor(v.x), floor(v.y), floor(v.z))
 }
 
 /// The inverse of a rigid transform.

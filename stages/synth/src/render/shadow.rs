@@ -3,6 +3,7 @@
 use glam::{Affine3A, DVec2, Mat3A, Vec3, Vec3A};
 
 use super::raster::{Layer, Polygon};
+use crate::math::floor;
 
 /// A parallel projection along a direction, with the surface nearest to the light at every texel.
 #[derive(Debug)]
@@ -12,7 +13,24 @@ pub(crate) struct LightMap {
     /// Texels per metre.
     pub texels: f32,
     layer: Layer,
+    tops: Tops,
 }
+
+/// The highest surface within [`FAR_RING`] of any texel of a block: where that is not above a point, nothing covers its sky.
+#[derive(Debug, Default)]
+struct Tops {
+    /// Blocks of a row.
+    count: usize,
+    heights: Vec<f32>,
+}
+
+/// Texels of a block of [`Tops`].
+const BLOCK: usize = 6;
+/// Distances at which a point looks for what stands around it, metres.
+const NEAR_RING: f32 = 0.018;
+const FAR_RING: f32 = 0.07;
+/// What rises less than this covers nothing, metres.
+const LEAST_RISE: f32 = 0.004;
 
 /// Half width of the region that casts shadows, metres, and its middle.
 const REACH: f32 = 1.0;
@@ -35,7 +53,40 @@ impl LightMap {
             map_from_base: Affine3A::from_mat3_translation(rotation.into(), shift.into()),
             texels,
             layer,
+            tops: Tops::default(),
         }
+    }
+
+    /// Prepares the finished map for [`Self::openness`].
+    pub(crate) fn finish(&mut self) {
+        let size = self.layer.width;
+        let count = size.div_ceil(BLOCK);
+        let mut own = vec![f32::NEG_INFINITY; count * count];
+        for (row, line) in self.layer.key.chunks_exact(size).enumerate() {
+            let blocks = &mut own[row / BLOCK * count..][..count];
+            for (top, texels) in blocks.iter_mut().zip(line.chunks(BLOCK)) {
+                *top = texels.iter().fold(*top, |top, &height| top.max(height));
+            }
+        }
+        // Taps lie at most this many blocks away, one more for the place within the block.
+        let reach = (FAR_RING * self.texels) as usize / BLOCK + 2;
+        let near = |place: usize| place.saturating_sub(reach)..(place + reach + 1).min(count);
+        let heights = (0..count * count).map(|block| {
+            let columns = near(block % count);
+            let rows = near(block / count).flat_map(|row| &own[row * count..][columns.clone()]);
+            rows.fold(f32::NEG_INFINITY, |top, &height| top.max(height))
+        });
+        self.tops = Tops {
+            count,
+            heights: heights.collect(),
+        };
+    }
+
+    /// Whether nothing near a point rises above it. Points outside the map are for the taps to decide.
+    fn clear(&self, point: Vec3A) -> bool {
+        let (column, row) = (point.x as usize / BLOCK, point.y as usize / BLOCK);
+        let inside = point.x >= 0.0 && point.y >= 0.0 && column < self.tops.count && row < self.tops.count;
+        inside && self.tops.heights[row * self.tops.count + column] - point.z <= LEAST_RISE
     }
 
     /// Draws a mesh whose corners are given in the map's frame.
@@ -69,7 +120,7 @@ impl LightMap {
     pub(crate) fn light(&self, point: Vec3A, bias: f32, spread: f32) -> f32 {
         let limit = point.z + bias;
         let (u, v) = (point.x / spread - 0.5, point.y / spread - 0.5);
-        let (u0, v0) = (u.floor(), v.floor());
+        let (u0, v0) = (floor(u), floor(v));
         let (fu, fv) = (u - u0, v - v0);
         // Box of three cells, centred: weights 1-f, 1, 1, f along each axis.
         let (wu, wv) = ([1.0 - fu, 1.0, 1.0, fu], [1.0 - fv, 1.0, 1.0, fv]);
@@ -96,15 +147,18 @@ impl LightMap {
     pub(crate) fn openness(&self, point: Vec3A, turn: f32) -> f32 {
         // Four directions at two distances, turned from pixel to pixel.
         const RING: [(f32, f32); 4] = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)];
+        if self.clear(point) {
+            return 1.0;
+        }
         let mut covered = 0.0;
-        for (ring, metres) in [0.018f32, 0.07].into_iter().enumerate() {
+        for (ring, metres) in [NEAR_RING, FAR_RING].into_iter().enumerate() {
             let (c, s) = ((turn + ring as f32 * 0.35) * 0.9, 1.0);
             let scale = metres * self.texels / (c * c + s * s).sqrt();
             for (x, y) in RING {
                 let (dx, dy) = ((x * c - y * s) * scale, (x * s + y * c) * scale);
-                let height = self.height((point.x + dx).floor() as i32, (point.y + dy).floor() as i32);
+                let height = self.height(floor(point.x + dx) as i32, floor(point.y + dy) as i32);
                 let rise = height - point.z;
-                if rise > 0.004 {
+                if rise > LEAST_RISE {
                     // Things high above cover little of the sky, near walls cover half of it.
                     let slope = (rise / metres).min(2.0) * 0.5;
                     covered += slope / (1.0 + (rise / 0.25) * (rise / 0.25));
@@ -129,6 +183,7 @@ mod tests {
             .map(|p| map.map_from_base.transform_point3a((*p).into()))
             .collect();
         map.draw(&corners, &mesh.triangles);
+        map.finish();
         map
     }
 
@@ -150,5 +205,23 @@ mod tests {
         let at = |x: f32| map.openness(map.map_from_base.transform_point3a(Vec3A::new(x, 0.0, 0.0)), 0.2);
         assert!(at(0.51) < at(0.55) && at(0.55) < at(0.75));
         assert_eq!(at(0.75), 1.0);
+    }
+
+    #[test]
+    fn the_short_cut_changes_nothing() {
+        let map = drawn(Vec3::Z);
+        let whole = LightMap {
+            tops: Tops::default(),
+            ..drawn(Vec3::Z)
+        };
+        let mut covered = 0;
+        for step in 0..20_000 {
+            let (x, y) = ((step % 141) as f32 * 3.0 - 10.0, (step / 141) as f32 * 3.0 - 10.0);
+            let point = Vec3A::new(x, y, 0.01 * (step % 7) as f32 - 0.02);
+            let open = map.openness(point, 0.1 * (step % 11) as f32);
+            assert_eq!(open, whole.openness(point, 0.1 * (step % 11) as f32));
+            covered += usize::from(open < 1.0);
+        }
+        assert!(covered > 300, "{covered}");
     }
 }

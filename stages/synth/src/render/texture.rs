@@ -2,6 +2,7 @@
 
 use std::sync::OnceLock;
 
+use crate::math::{floor, floor3};
 use glam::Vec3;
 
 /// What a surface looks like: linear RGB albedo as a function of the point, and a gloss.
@@ -94,7 +95,7 @@ fn square_wave(x: f32, blur: f32) -> f32 {
     let half = (0.5 * blur).max(1e-4);
     // Integral of the wave, with its mean taken out: a triangle wave.
     let integral = |x: f32| {
-        let r = x - 2.0 * (0.5 * x).floor();
+        let r = x - 2.0 * floor(0.5 * x);
         0.5 * x + if r < 1.0 { -0.5 * r } else { 0.5 * r - 1.0 }
     };
     ((integral(x + half) - integral(x - half)) / (2.0 * half)).clamp(0.0, 1.0)
@@ -107,10 +108,10 @@ fn checker(p: Vec3, blur: f32) -> f32 {
 }
 
 fn wood(p: Vec3, blur: f32) -> f32 {
-    let board = p.y.floor();
+    let board = floor(p.y);
     let shifted = Vec3::new(0.15 * p.x + 7.3 * board, p.y * 3.0, p.z * 3.0 + 3.1 * board);
     let rings = noise(shifted) * 3.0 + p.y * 2.0;
-    let rings = (rings - rings.floor() - 0.5).abs() * 2.0;
+    let rings = (rings - floor(rings) - 0.5).abs() * 2.0;
     let fibre = noise(Vec3::new(p.x * 0.6, p.y * 18.0, p.z * 18.0)) * fade(blur * 18.0);
     let joint = if p.y - board < 0.04 {
         0.5 * fade(blur * 5.0)
@@ -122,13 +123,13 @@ fn wood(p: Vec3, blur: f32) -> f32 {
 }
 
 fn dots(p: Vec3, blur: f32) -> f32 {
-    let cell = p - p.floor() - Vec3::splat(0.5);
+    let cell = p - floor3(p) - Vec3::splat(0.5);
     let edge = (0.3 - cell.length()) / blur.max(0.02);
     (edge + 0.5).clamp(0.0, 1.0) * fade(blur)
 }
 
 fn tiles(p: Vec3, blur: f32, a: Vec3, b: Vec3) -> Vec3 {
-    let cell = p.floor();
+    let cell = floor3(p);
     let inside = p - cell;
     let edge = |x: f32| x.min(1.0 - x);
     // Bodies are thin along one axis; joints along it would cover the whole face.
@@ -140,10 +141,10 @@ fn tiles(p: Vec3, blur: f32, a: Vec3, b: Vec3) -> Vec3 {
 
 fn patches(p: Vec3, blur: f32, a: Vec3, b: Vec3) -> Vec3 {
     // Two grids of different pitch; the hash says which one shows.
-    let coarse = p.floor();
+    let coarse = floor3(p);
     let (x, y, z) = (coarse.x as i32, coarse.y as i32, coarse.z as i32);
-    let split = 1.0 + (hash_unit(x, z, y ^ 17) * 1.5 + 1.5).floor();
-    let fine = ((p - coarse) * split).floor();
+    let split = 1.0 + floor(hash_unit(x, z, y ^ 17) * 1.5 + 1.5);
+    let fine = floor3((p - coarse) * split);
     let (i, k) = (x * 8 + fine.x as i32, z * 8 + fine.z as i32);
     let j = y * 8 + fine.y as i32;
     let tint = Vec3::new(hash_unit(i, j, k), hash_unit(j, k, i + 5), hash_unit(k, i, j + 9));
@@ -177,7 +178,7 @@ pub(crate) fn noise(p: Vec3) -> f32 {
             .flat_map(|(y, z)| (0..LATTICE as i32).map(move |x| hash_unit(x, y, z)))
             .collect()
     });
-    let cell = p.floor();
+    let cell = floor3(p);
     let t = p - cell;
     let s = t * t * (Vec3::splat(3.0) - 2.0 * t);
     let wrap = |v: f32| (v as i32 as usize) & (LATTICE - 1);

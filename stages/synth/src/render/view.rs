@@ -60,7 +60,8 @@ impl<'a> LitScene<'a> {
             .into_par_iter()
             .map(draw)
             .collect();
-        let sky = maps.remove(1);
+        let mut sky = maps.remove(1);
+        sky.finish();
         let key = maps.remove(0);
         Self {
             bodies,
