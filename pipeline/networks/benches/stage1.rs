@@ -1,4 +1,4 @@
-//! Parts of the Stage-1 network beside PyTorch float32, in one run, by processor time.
+//! Parts of the Stage-1 network beside PyTorch, float32 and bfloat16 products each, in one run, by processor time.
 //!
 //! `ROGS_PEER_PYTHON=python cargo bench -p rogs-networks --bench stage1 -- [CONFIGURATION] [whole]`, where that Python has
 //! `torch`; without the variable our times are printed alone. Both sides use as many threads as rayon does.
@@ -10,7 +10,9 @@ use burn::tensor::{Device, Tensor};
 use rogs_networks::parameters::from_host;
 use rogs_networks::stage1::block::{Block, BlockKind};
 use rogs_networks::stage1::positions::RotaryTable;
-use rogs_networks::stage1::{Attention, Camera, Encoded, HeadKind, SourceFrames, Stage1, Stage1Config, seeded};
+use rogs_networks::stage1::{
+    Attention, Camera, Encoded, HeadKind, Precision, SourceFrames, Stage1, Stage1Config, seeded,
+};
 
 const FRAMES: usize = 15;
 const SIZE: [usize; 2] = [154, 280];
@@ -28,11 +30,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         // One block of each kind is timed; the others would only be weights.
         (config.encoder_blocks, config.pairs, config.taps) = (1, 4, [0, 1, 2, 3]);
     }
-    let network = seeded::network(&config, 1, &Device::flex())?;
+    let mut network = seeded::network(&config, 1, &Device::flex())?;
     let grid = config.grid(SIZE[0], SIZE[1])?;
     let mut own = parts(&network, grid)?;
     if is_whole {
         own.push(("whole lifting", whole(&network)?));
+        network.precision = Precision::Bf16;
+        own.push(("whole lifting, bf16", whole(&network)?));
     }
     let peer = peer(&config, grid, is_whole)?;
     println!(
@@ -63,14 +67,17 @@ fn parts(network: &Stage1, grid: [usize; 2]) -> Result<Vec<(&'static str, f64)>,
     let positions: Vec<[usize; 2]> = std::iter::repeat_n([0, 0], special).chain(patch).collect();
     let tokens = positions.len();
     let rotary = RotaryTable::new(&positions, config.head_size()).on(&device);
-    let block = |name: &str| {
-        let scope = network.parameters.scope(name);
-        Block::load(&scope, BlockKind::AGGREGATOR, config.width, config.heads)
+    let block = |name: &str, precision: Precision| {
+        let scope = network.parameters.scope(&format!("backbone.backbone.{name}_blocks.0"));
+        Block::load(
+            &scope,
+            BlockKind::AGGREGATOR.with(precision),
+            config.width,
+            config.heads,
+        )
     };
-    let (frame, global) = (
-        block("backbone.backbone.frame_blocks.0")?,
-        block("backbone.backbone.global_blocks.0")?,
-    );
+    let (frame, global) = (block("frame", Precision::F32)?, block("global", Precision::F32)?);
+    let (frame_bf16, global_bf16) = (block("frame", Precision::Bf16)?, block("global", Precision::Bf16)?);
     let noise = |count: usize| {
         (0..count)
             .map(|k| ((k * 7919) % 1009) as f32 / 504.5 - 1.0)
@@ -97,15 +104,12 @@ fn parts(network: &Stage1, grid: [usize; 2]) -> Result<Vec<(&'static str, f64)>,
     };
     let head = network.head(HeadKind::Depth)?;
     let projections = head.projections(None);
+    let over = |block: &Block, input: &Tensor<3>| best(|| drop(block.forward(input.clone(), Some(&rotary)).to_data()));
     Ok(vec![
-        (
-            "frame block",
-            best(|| drop(frame.forward(input.clone(), Some(&rotary)).to_data())),
-        ),
-        (
-            "global block",
-            best(|| drop(global.forward(joined.clone(), Some(&rotary)).to_data())),
-        ),
+        ("frame block", over(&frame, &input)),
+        ("frame block, bf16", over(&frame_bf16, &input)),
+        ("global block", over(&global, &joined)),
+        ("global block, bf16", over(&global_bf16, &joined)),
         (
             "dense head, one frame",
             best(|| drop(head.forward(&projections, &encoded.taps, grid, SIZE).to_data())),

@@ -1,4 +1,4 @@
-"""Parts of the Stage-1 network in PyTorch, float32, from their formulas, with random weights.
+"""Parts of the Stage-1 network in PyTorch, float32 and bfloat16, from their formulas, with random weights.
 
 Reads one JSON object from standard input: sizes of the network (as in a checkpoint's `rogs.configuration`), `frames`,
 `grid`, `size`, `threads`, `repeats`. Prints one JSON object: seconds of processor time of each part, the smallest of the
@@ -164,11 +164,19 @@ def whole():
             head([tap[frame : frame + 1] for tap in kept])
 
 
+def in_bf16(work):
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        return best(work)
+
+
 results = {
     "frame block": best(lambda: frame_block(frame_tokens)),
+    "frame block, bf16": in_bf16(lambda: frame_block(frame_tokens)),
     "global block": best(lambda: global_block(all_tokens)),
+    "global block, bf16": in_bf16(lambda: global_block(all_tokens)),
     "dense head, one frame": best(lambda: head(taps)),
 }
 if job["whole"]:
     results["whole lifting"] = best(whole)
+    results["whole lifting, bf16"] = in_bf16(whole)
 print(json.dumps(results))

@@ -1,17 +1,17 @@
 //! Blocked softmax attention on packed queries, keys and values.
 //!
-//! Scores of 128 query rows against all keys are one matrix product, their softmax runs in place, and a second product
+//! Scores of some query rows against all keys are one matrix product, their softmax runs in place, and a second product
 //! with the values writes the output; nothing of size tokens x tokens is ever held.
 
-use gemm::Parallelism;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::pointwise::exp;
+use super::product::{PackedWeight, Precision};
 use super::vectorised;
 
-/// Query rows of a task.
-const ROWS: usize = 128;
+/// Query rows of a task: their scores against some thousand keys should fit the second-level cache.
+const ROWS: usize = 60;
 
 /// Affine map and epsilon of the norm of queries or keys. `[head size]` each
 pub(crate) struct HeadNorm<'a> {
@@ -36,6 +36,8 @@ pub(crate) struct PackedAttention<'a> {
     pub(crate) norms: Option<[HeadNorm<'a>; 2]>,
     /// Rotary cosines and signed sines, `[period, head size]` each, where the positions repeat after `period` tokens.
     pub(crate) rotary: Option<[&'a [f32]; 2]>,
+    /// Numbers of the products.
+    pub(crate) precision: Precision,
 }
 
 impl PackedAttention<'_> {
@@ -49,80 +51,45 @@ impl PackedAttention<'_> {
             ..
         } = *self;
         let width = heads * size;
-        let lists = packed.len() / (3 * width * tokens).max(1);
-        let mut output = vec![0.0f32; lists * tokens * width];
-        for (list, output) in output.chunks_exact_mut(tokens * width).enumerate() {
-            let packed = &packed[list * tokens * 3 * width..][..tokens * 3 * width];
-            let queries = self.prepare(packed, 0, 1.0 / (size as f32).sqrt());
-            let keys = self.prepare(packed, 1, 1.0);
-            output
-                .par_chunks_mut(ROWS * width)
-                .enumerate()
-                .for_each_init(Vec::new, |scores, (block, output)| {
-                    let rows = output.len() / width;
-                    scores.resize(ROWS * tokens, 0.0);
-                    for head in 0..heads {
-                        let first = (head * tokens + block * ROWS) * size;
-                        let queries = &queries[first..first + rows * size];
+        let mut output = vec![0.0f32; packed.len() / 3];
+        output
+            .par_chunks_mut(tokens * width)
+            .zip(packed.par_chunks(tokens * 3 * width))
+            .for_each(|(output, packed)| {
+                let queries = self.prepare(packed, 0, 1.0 / (size as f32).sqrt());
+                let keys = self.prepare(packed, 1, 1.0);
+                let sides: Vec<[PackedWeight; 2]> = (0..heads)
+                    .into_par_iter()
+                    .map(|head| {
                         let keys = &keys[head * tokens * size..][..tokens * size];
                         let values = &packed[2 * width + head * size..];
-                        self.block(
-                            queries,
-                            keys,
-                            values,
-                            scores,
-                            &mut output[head * size..],
-                            rows,
-                            &self.bias[2 * width + head * size..],
-                        );
-                    }
-                });
-        }
+                        [
+                            PackedWeight::new(keys, size, self.precision),
+                            PackedWeight::strided(values, [size, tokens], [1, 3 * width], self.precision),
+                        ]
+                    })
+                    .collect();
+                output.par_chunks_mut(ROWS * width).enumerate().for_each_init(
+                    Default::default,
+                    |scratch, (block, output)| {
+                        let rows = output.len() / width;
+                        for (head, sides) in sides.iter().enumerate() {
+                            let first = (head * tokens + block * ROWS) * size;
+                            let bias = &self.bias[2 * width + head * size..][..size];
+                            let output = &mut output[head * size..];
+                            attend(
+                                &queries[first..first + rows * size],
+                                sides,
+                                bias,
+                                output,
+                                width,
+                                scratch,
+                            );
+                        }
+                    },
+                );
+            });
         output
-    }
-
-    /// One head of one block of query rows. `values` and `output` begin at the head's first channel.
-    fn block(
-        &self,
-        queries: &[f32],
-        keys: &[f32],
-        values: &[f32],
-        scores: &mut [f32],
-        output: &mut [f32],
-        rows: usize,
-        bias: &[f32],
-    ) {
-        let Self {
-            tokens, heads, size, ..
-        } = *self;
-        let width = heads * size;
-        // scores [rows, tokens] = queries [rows, size] keys^T
-        product(
-            [rows, tokens, size],
-            scores,
-            tokens,
-            (queries, size, 1),
-            (keys, 1, size),
-        );
-        let mut sums = [0.0f32; ROWS];
-        for (row, sum) in scores.chunks_exact_mut(tokens).zip(&mut sums[..rows]) {
-            *sum = Arch::new().dispatch(Exponentials(row));
-        }
-        // output [rows, size] = scores values, rows apart by the width of all heads
-        product(
-            [rows, size, tokens],
-            output,
-            width,
-            (scores, tokens, 1),
-            (values, 3 * width, 1),
-        );
-        for (row, sum) in output.chunks_mut(width).zip(&sums[..rows]) {
-            // The weights of a row sum to one, so the bias of the values adds to their mean.
-            row[..size]
-                .iter_mut()
-                .zip(bias)
-                .for_each(|(value, bias)| *value = *value / sum + bias);
-        }
     }
 
     /// Normalised, rotated and scaled queries (part 0) or keys (part 1). `[heads, T, size]`
@@ -159,6 +126,37 @@ impl PackedAttention<'_> {
             });
         result
     }
+}
+
+/// One head of one block of query rows; rows of `output` are `stride` apart. `scratch` holds scores and packed rows.
+fn attend(
+    queries: &[f32],
+    [keys, values]: &[PackedWeight; 2],
+    bias: &[f32],
+    output: &mut [f32],
+    stride: usize,
+    (scores, packed): &mut (Vec<f32>, Vec<u32>),
+) {
+    let (rows, tokens) = (queries.len() / bias.len(), keys.outputs());
+    scores.resize(rows * tokens, 0.0);
+    keys.rows(queries, scores, tokens, packed, |_, _, _| {});
+    let mut inverses = [0.0f32; ROWS];
+    for (row, inverse) in scores.chunks_exact_mut(tokens).zip(&mut inverses) {
+        *inverse = 1.0 / Arch::new().dispatch(Exponentials(row));
+    }
+    values.rows(
+        scores,
+        output,
+        stride,
+        packed,
+        // The weights of a row sum to one, so the bias of the values adds to their mean.
+        #[inline(always)]
+        |row, column, values| {
+            for (value, bias) in values.iter_mut().zip(&bias[column..]) {
+                *value = value.mul_add(inverses[row], *bias);
+            }
+        },
+    );
 }
 
 /// Replaces the scores of a row by e^(score - largest) and returns their sum.
@@ -216,49 +214,6 @@ fn rotate(values: &mut [f32], cosine: &[f32], sine: &[f32]) {
     }
 }
 
-/// out [m, n] = lhs [m, k] rhs [k, n]; operands come with their row and column strides, `out` with its row stride.
-// The gemm crate takes pointers. Every index it forms is checked against the slices first.
-#[allow(unsafe_code)]
-pub(super) fn product(
-    [m, n, k]: [usize; 3],
-    out: &mut [f32],
-    out_stride: usize,
-    (lhs, lhs_rows, lhs_columns): (&[f32], usize, usize),
-    (rhs, rhs_rows, rhs_columns): (&[f32], usize, usize),
-) {
-    if m == 0 || n == 0 || k == 0 {
-        return;
-    }
-    assert!((m - 1) * out_stride + n <= out.len());
-    assert!((m - 1) * lhs_rows + (k - 1) * lhs_columns < lhs.len());
-    assert!((k - 1) * rhs_rows + (n - 1) * rhs_columns < rhs.len());
-    // SAFETY: the largest offset of each operand is inside its slice (asserted above), `out` is borrowed exclusively, and
-    // without `read_dst` its old values are not read.
-    unsafe {
-        gemm::gemm(
-            m,
-            n,
-            k,
-            out.as_mut_ptr(),
-            1,
-            out_stride as isize,
-            false,
-            lhs.as_ptr(),
-            lhs_columns as isize,
-            lhs_rows as isize,
-            rhs.as_ptr(),
-            rhs_columns as isize,
-            rhs_rows as isize,
-            0.0f32,
-            1.0f32,
-            false,
-            false,
-            false,
-            Parallelism::None,
-        );
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -279,13 +234,14 @@ mod tests {
             size,
             norms: None,
             rotary: None,
+            precision: Precision::F32,
         }
         .run();
         let at = |list: usize, token: usize, part: usize, head: usize, channel: usize| {
             let place = head * size + channel;
             f64::from(packed[((list * tokens + token) * 3 + part) * width + place] + bias[part * width + place])
         };
-        for (list, token, head) in [(0, 0, 0), (0, 299, 1), (1, 127, 0), (1, 128, 1)] {
+        for (list, token, head) in [(0, 0, 0), (0, 299, 1), (1, 59, 0), (1, 60, 1)] {
             let score = |key: usize| {
                 (0..size)
                     .map(|c| at(list, token, 0, head, c) * at(list, key, 1, head, c))

@@ -10,9 +10,9 @@ use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Dispatch, Flex, backend_extension};
 use burn::tensor::{DType, Tensor, TensorData};
+use gemm::Parallelism;
 use rayon::prelude::*;
 
-use super::attention::product;
 use super::conv::{After, Conv3x3};
 
 /// Taps of a kernel.
@@ -268,6 +268,49 @@ fn slice(tensor: &Host) -> &[f32] {
 
 fn host(values: Vec<f32>, shape: Vec<usize>) -> Host {
     Host::from_data(TensorData::new(values, shape))
+}
+
+/// out [m, n] = lhs [m, k] rhs [k, n]; operands come with their row and column strides, `out` with its row stride.
+// The gemm crate takes pointers. Every index it forms is checked against the slices first.
+#[allow(unsafe_code)]
+fn product(
+    [m, n, k]: [usize; 3],
+    out: &mut [f32],
+    out_stride: usize,
+    (lhs, lhs_rows, lhs_columns): (&[f32], usize, usize),
+    (rhs, rhs_rows, rhs_columns): (&[f32], usize, usize),
+) {
+    if m == 0 || n == 0 || k == 0 {
+        return;
+    }
+    assert!((m - 1) * out_stride + n <= out.len());
+    assert!((m - 1) * lhs_rows + (k - 1) * lhs_columns < lhs.len());
+    assert!((k - 1) * rhs_rows + (n - 1) * rhs_columns < rhs.len());
+    // SAFETY: the largest offset of each operand is inside its slice (asserted above), `out` is borrowed exclusively, and
+    // without `read_dst` its old values are not read.
+    unsafe {
+        gemm::gemm(
+            m,
+            n,
+            k,
+            out.as_mut_ptr(),
+            1,
+            out_stride as isize,
+            false,
+            lhs.as_ptr(),
+            lhs_columns as isize,
+            lhs_rows as isize,
+            rhs.as_ptr(),
+            rhs_columns as isize,
+            rhs_rows as isize,
+            0.0f32,
+            1.0f32,
+            false,
+            false,
+            false,
+            Parallelism::None,
+        );
+    }
 }
 
 #[cfg(test)]

@@ -5,17 +5,21 @@
 //! order. Of tensors that record gradients only 3x3 convolutions come here (see [`crate::ops`]).
 
 mod attention;
+mod bf16;
 mod conv;
 mod convolve;
 mod dense_tail;
 mod extension;
 mod pointwise;
+mod product;
 mod vectorised;
 
 pub(crate) use attention::{HeadNorm, PackedAttention};
 pub(crate) use conv::{After, Conv3x3};
 pub(crate) use convolve::{convolve, usable as differentiable};
 pub(crate) use dense_tail::DenseTail;
-pub(crate) use extension::{read, update, usable};
-pub(crate) use pointwise::{bias_gelu, bias_scale_add};
+pub(crate) use extension::{pack, read, usable};
+pub(crate) use pointwise::gelu;
+pub(crate) use product::PackedWeight;
+pub use product::Precision;
 pub(crate) use vectorised::vectorised;

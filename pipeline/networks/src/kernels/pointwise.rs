@@ -1,12 +1,5 @@
 //! Elementwise functions that the compiler turns into vector code.
 
-use rayon::prelude::*;
-
-use super::vectorised;
-
-/// Values of a task.
-const CHUNK: usize = 1 << 14;
-
 /// e^x for x in about [-87, 88], to about 2 units in the last place; smaller arguments give 0 or nearly so.
 #[inline(always)]
 pub(super) fn exp(x: f32) -> f32 {
@@ -28,7 +21,7 @@ pub(super) fn exp(x: f32) -> f32 {
 
 /// x * (1 + erf(x / sqrt 2)) / 2, absolute error below 3e-7 * (1 + |x|).
 #[inline(always)]
-pub(super) fn gelu(x: f32) -> f32 {
+pub(crate) fn gelu(x: f32) -> f32 {
     // erf by Abramowitz and Stegun 7.1.26: 1 - (a1 t + ... + a5 t^5) e^(-z^2), t = 1 / (1 + p z).
     let z = x.abs() * std::f32::consts::FRAC_1_SQRT_2;
     let t = 1.0 / z.mul_add(0.327_591_1, 1.0);
@@ -38,46 +31,6 @@ pub(super) fn gelu(x: f32) -> f32 {
     }
     let tail = 0.5 * sum * t * exp(-z * z);
     x * if x > 0.0 { 1.0 - tail } else { tail }
-}
-
-/// GELU of rows after adding a bias. `values [rows, width]`
-pub(crate) fn bias_gelu(values: &mut [f32], bias: &[f32]) {
-    let rows = (CHUNK / bias.len()).max(1);
-    values.par_chunks_mut(rows * bias.len()).for_each(|chunk| {
-        vectorised(
-            #[inline(always)]
-            || {
-                for row in chunk.chunks_exact_mut(bias.len()) {
-                    for (value, bias) in row.iter_mut().zip(bias) {
-                        *value = gelu(*value + bias);
-                    }
-                }
-            },
-        );
-    });
-}
-
-/// residual + scale * (values + bias), into `values`; `scale` may be empty for 1. `values`, `residual [rows, width]`
-pub(crate) fn bias_scale_add(values: &mut [f32], bias: &[f32], scale: &[f32], residual: &[f32]) {
-    let width = bias.len();
-    let rows = (CHUNK / width).max(1);
-    let ones = vec![1.0; width];
-    let scale = if scale.is_empty() { &ones } else { scale };
-    values
-        .par_chunks_mut(rows * width)
-        .zip(residual.par_chunks(rows * width))
-        .for_each(|(chunk, residual)| {
-            vectorised(
-                #[inline(always)]
-                || {
-                    for (row, residual) in chunk.chunks_exact_mut(width).zip(residual.chunks_exact(width)) {
-                        for (((value, bias), scale), residual) in row.iter_mut().zip(bias).zip(scale).zip(residual) {
-                            *value = scale.mul_add(*value + bias, *residual);
-                        }
-                    }
-                },
-            );
-        });
 }
 
 #[cfg(test)]

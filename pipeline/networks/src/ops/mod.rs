@@ -7,7 +7,7 @@ use burn::tensor::ops::{AttentionModuleOptions, ConvOptions, InterpolateMode, In
 use burn::tensor::{Tensor, activation};
 
 use crate::Result;
-use crate::kernels::{self, After, Conv3x3, HeadNorm};
+use crate::kernels::{self, After, Conv3x3, HeadNorm, PackedWeight, Precision};
 use crate::parameters::Scope;
 
 /// alpha / rank of low-rank updates: 16 / 32 (`stage1-network.md` section 9). The ratio is fixed, whatever the rank.
@@ -82,6 +82,21 @@ pub fn linear<const D: usize>(input: Tensor<D>, weight: Tensor<2>, bias: Option<
     let mut dims = input.dims();
     let [outputs, inputs] = weight.dims();
     let rows = dims[..D - 1].iter().product::<usize>();
+    if kernels::usable(&input) && kernels::usable(&weight) {
+        dims[D - 1] = outputs;
+        let bias = bias.as_ref().map_or_else(|| vec![0.0; outputs], values);
+        return kernels::read(input, weight, dims, move |input, weight| {
+            PackedWeight::new(weight, inputs, Precision::F32).apply(
+                input,
+                #[inline(always)]
+                |_, column, values| {
+                    for (value, bias) in values.iter_mut().zip(&bias[column..]) {
+                        *value += bias;
+                    }
+                },
+            )
+        });
+    }
     let product = input.reshape([rows, inputs]).matmul(weight.transpose());
     dims[D - 1] = outputs;
     let sum = match bias {

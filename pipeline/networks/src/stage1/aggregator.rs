@@ -7,6 +7,7 @@ use super::config::{POSE_NUMBERS, Stage1Config};
 use super::encoder::patch_projection;
 use super::geometry::{Camera, encode_time};
 use super::positions::{Rotary, RotaryTable, token_positions};
+use crate::kernels::Precision;
 use crate::ops::Linear;
 use crate::parameters::{Parameters, from_host};
 use crate::{Error, Result};
@@ -20,6 +21,12 @@ pub enum Attention {
     WithinCamera(Vec<u32>),
 }
 
+/// What the blocks of a clip need to know about its tokens.
+pub struct TokenLayout {
+    rotary: Rotary,
+    groups: Vec<Vec<usize>>,
+}
+
 /// Group norm epsilon of the ray embedding.
 const RAY_EPSILON: f64 = 1e-5;
 
@@ -27,13 +34,24 @@ const RAY_EPSILON: f64 = 1e-5;
 pub struct Aggregator<'a> {
     parameters: &'a Parameters,
     config: &'a Stage1Config,
+    precision: Precision,
 }
 
 impl<'a> Aggregator<'a> {
     /// The aggregator of a network.
     #[must_use]
     pub fn new(parameters: &'a Parameters, config: &'a Stage1Config) -> Self {
-        Self { parameters, config }
+        Self {
+            parameters,
+            config,
+            precision: Precision::F32,
+        }
+    }
+
+    /// The same with matrix products of other numbers.
+    #[must_use]
+    pub fn with_precision(self, precision: Precision) -> Self {
+        Self { precision, ..self }
     }
 
     /// Patch projection of the cameras' ray maps. `[S, N, C]`
@@ -112,13 +130,11 @@ impl<'a> Aggregator<'a> {
     /// # Errors
     /// When a tensor is missing or has another shape, or the blocking does not name every frame's camera.
     pub fn forward(&self, tokens: Tensor<3>, grid: [usize; 2], attention: &Attention) -> Result<[Tensor<3>; 4]> {
-        let groups = self.groups(tokens.dims()[0], attention)?;
-        let frame_rotary = self.rotary(grid);
+        let layout = self.layout(tokens.dims()[0], grid, attention)?;
         let mut tokens = tokens;
         let mut taps = Vec::with_capacity(4);
         for pair in 0..=self.config.taps[3] {
-            let frame = self.block("frame_blocks", pair)?.forward(tokens, Some(&frame_rotary));
-            let global = self.global(pair, frame.clone(), &frame_rotary, &groups)?;
+            let [frame, global] = self.pair(pair, tokens, &layout)?;
             if self.config.taps.contains(&pair) {
                 taps.push(Tensor::cat(vec![frame, global.clone()], 2));
             }
@@ -126,6 +142,29 @@ impl<'a> Aggregator<'a> {
         }
         let short = |_| Error::BadConfiguration("fewer than four taps".into());
         taps.try_into().map_err(short)
+    }
+
+    /// Where the tokens of a clip stand, and which frames attend to each other.
+    ///
+    /// # Errors
+    /// When the blocking does not name every frame's camera.
+    pub fn layout(&self, frames: usize, grid: [usize; 2], attention: &Attention) -> Result<TokenLayout> {
+        Ok(TokenLayout {
+            rotary: self.rotary(grid),
+            groups: self.groups(frames, attention)?,
+        })
+    }
+
+    /// Runs one pair: the outputs of its frame block and of its global block. `[S, T, C] -> 2 x [S, T, C]`
+    ///
+    /// # Errors
+    /// When a tensor is missing or has another shape.
+    pub fn pair(&self, index: usize, tokens: Tensor<3>, layout: &TokenLayout) -> Result<[Tensor<3>; 2]> {
+        let frame = self
+            .block("frame_blocks", index)?
+            .forward(tokens, Some(&layout.rotary));
+        let global = self.global(index, frame.clone(), &layout.rotary, &layout.groups)?;
+        Ok([frame, global])
     }
 
     /// Rotary table of one frame's tokens.
@@ -141,7 +180,8 @@ impl<'a> Aggregator<'a> {
     /// When a tensor is missing or has another shape.
     pub fn block(&self, list: &str, index: usize) -> Result<Block> {
         let scope = self.parameters.scope(&format!("backbone.backbone.{list}.{index}"));
-        Block::load(&scope, BlockKind::AGGREGATOR, self.config.width, self.config.heads)
+        let kind = BlockKind::AGGREGATOR.with(self.precision);
+        Block::load(&scope, kind, self.config.width, self.config.heads)
     }
 
     /// Global block `pair` within each group of frames. `[S, T, C] -> [S, T, C]`

@@ -4,7 +4,7 @@ use burn::tensor::Tensor;
 
 use super::positions::Rotary;
 use crate::Result;
-use crate::kernels::{self, PackedAttention};
+use crate::kernels::{self, PackedAttention, Precision};
 use crate::ops::{self, HostNorm, LayerNorm, Linear};
 use crate::parameters::Scope;
 
@@ -17,6 +17,8 @@ pub struct BlockKind {
     pub qk_norm: bool,
     /// Whether residual branches are scaled per channel.
     pub layer_scale: bool,
+    /// Numbers of the matrix products.
+    pub precision: Precision,
 }
 
 impl BlockKind {
@@ -25,18 +27,21 @@ impl BlockKind {
         epsilon: 1e-6,
         qk_norm: false,
         layer_scale: true,
+        precision: Precision::F32,
     };
     /// Frame and global blocks of the aggregator.
     pub const AGGREGATOR: Self = Self {
         epsilon: 1e-5,
         qk_norm: true,
         layer_scale: true,
+        precision: Precision::F32,
     };
     /// Blocks of the latent adapter.
     pub const ADAPTER: Self = Self {
         epsilon: 1e-5,
         qk_norm: false,
         layer_scale: false,
+        precision: Precision::F32,
     };
 }
 
@@ -52,6 +57,15 @@ pub struct Block {
     widen: Linear,
     narrow: Linear,
     heads: usize,
+    precision: Precision,
+}
+
+impl BlockKind {
+    /// The same blocks with matrix products of other numbers.
+    #[must_use]
+    pub const fn with(self, precision: Precision) -> Self {
+        Self { precision, ..self }
+    }
 }
 
 impl Block {
@@ -84,6 +98,7 @@ impl Block {
             widen: Linear::load(&mlp.child("fc1"), 4 * width, width)?,
             narrow: Linear::load(&mlp.child("fc2"), width, 4 * width)?,
             heads,
+            precision: kind.precision,
         })
     }
 
@@ -140,14 +155,15 @@ impl Block {
     /// [`Self::attend`] without gradients on the CPU: norms, rotary embedding and biases inside the attention kernel.
     fn attend_packed(&self, input: Tensor<3>, rotary: Option<&Rotary>) -> Tensor<3> {
         let [batch, tokens, width] = input.dims();
-        let packed = ops::linear(self.norm1.forward(input.clone()), self.qkv.weight.clone(), None);
-        let (heads, size) = (self.heads, width / self.heads);
+        let normed = self.norm1.forward(input.clone());
+        let packed = self.product(normed, &self.qkv, |_, _, _| {});
+        let (heads, size, precision) = (self.heads, width / self.heads, self.precision);
         let norms = self
             .qk_norms
             .as_ref()
             .map(|norms| norms.each_ref().map(LayerNorm::host));
         let table = rotary.map(|rotary| rotary.table().clone());
-        let bias = self.qkv.bias.as_ref().map_or_else(|| vec![0.0; 3 * width], ops::values);
+        let bias = bias_of(&self.qkv);
         let mixed: Tensor<3> = kernels::read(
             packed,
             self.projection.weight.clone(),
@@ -163,42 +179,69 @@ impl Block {
                     rotary: table
                         .as_ref()
                         .map(|table| [table.cosine.as_slice(), table.sine.as_slice()]),
+                    precision,
                 }
                 .run()
             },
         );
-        let branch = ops::linear(mixed, self.projection.weight.clone(), None);
-        self.add_branch(branch, &self.projection, 0, input)
+        self.add_branch(mixed, &self.projection, 0, input)
     }
 
     /// The second half of the block without gradients on the CPU.
     fn widen_and_narrow(&self, input: Tensor<3>) -> Tensor<3> {
-        let wide = ops::linear(self.norm2.forward(input.clone()), self.widen.weight.clone(), None);
-        let (shape, bias) = (wide.dims(), self.widen.bias.as_ref().map(ops::values));
-        let wide: Tensor<3> = kernels::update(wide, self.narrow.weight.clone(), shape, move |mut values, _| {
-            kernels::bias_gelu(&mut values, bias.as_deref().unwrap_or(&vec![0.0; shape[2]]));
-            values
-        });
-        let branch = ops::linear(wide, self.narrow.weight.clone(), None);
-        self.add_branch(branch, &self.narrow, 1, input)
+        let bias = bias_of(&self.widen);
+        let wide = self.product(
+            self.norm2.forward(input.clone()),
+            &self.widen,
+            #[inline(always)]
+            move |_, column, values| {
+                for (value, bias) in values.iter_mut().zip(&bias[column..]) {
+                    *value = kernels::gelu(*value + bias);
+                }
+            },
+        );
+        self.add_branch(wide, &self.narrow, 1, input)
     }
 
-    /// residual + scale * (branch + bias of the layer that made it).
-    fn add_branch(&self, branch: Tensor<3>, layer: &Linear, index: usize, residual: Tensor<3>) -> Tensor<3> {
-        let (shape, bias) = (branch.dims(), layer.bias.as_ref().map(ops::values));
+    /// x W^T without the bias; `finish` as in [`kernels::PackedWeight::apply`].
+    fn product(
+        &self,
+        input: Tensor<3>,
+        layer: &Linear,
+        finish: impl Fn(usize, usize, &mut [f32]) + Send + Sync + 'static,
+    ) -> Tensor<3> {
+        let [batch, tokens, _] = input.dims();
+        let packed = kernels::pack(&layer.weight, self.precision);
+        let shape = [batch, tokens, packed.outputs()];
+        kernels::read(input, layer.weight.clone(), shape, move |input, _| {
+            packed.apply(
+                input,
+                #[inline(always)]
+                |row, column, values| finish(row, column, values),
+            )
+        })
+    }
+
+    /// residual + scale * (x W^T + bias).
+    fn add_branch(&self, input: Tensor<3>, layer: &Linear, index: usize, residual: Tensor<3>) -> Tensor<3> {
+        let (shape, bias) = (residual.dims(), bias_of(layer));
         let scale = self
             .scales
             .as_ref()
-            .map(|scales| ops::values(&scales[index]))
-            .unwrap_or_default();
-        kernels::update(branch, residual, shape, move |mut values, residual| {
-            kernels::bias_scale_add(
-                &mut values,
-                bias.as_deref().unwrap_or(&vec![0.0; shape[2]]),
-                &scale,
-                residual,
-            );
-            values
+            .map_or_else(|| vec![1.0; shape[2]], |scales| ops::values(&scales[index]));
+        let packed = kernels::pack(&layer.weight, self.precision);
+        kernels::read(input, residual, shape, move |input, residual| {
+            packed.apply(
+                input,
+                #[inline(always)]
+                |row, column, values| {
+                    let residual = &residual[row * shape[2] + column..];
+                    let terms = bias[column..].iter().zip(&scale[column..]).zip(residual);
+                    for (value, ((bias, scale), residual)) in values.iter_mut().zip(terms) {
+                        *value = scale.mul_add(*value + bias, *residual);
+                    }
+                },
+            )
         })
     }
 
@@ -208,4 +251,10 @@ impl Block {
             None => branch,
         }
     }
+}
+
+/// The bias of a layer on the host, zeros where it has none.
+fn bias_of(layer: &Linear) -> Vec<f32> {
+    let zeros = || vec![0.0; layer.weight.dims()[0]];
+    layer.bias.as_ref().map_or_else(zeros, ops::values)
 }

@@ -6,6 +6,7 @@ use super::block::{Block, BlockKind};
 use super::config::{RGB_MEAN, RGB_STD, Stage1Config};
 use super::positions::resampling_matrix;
 use crate::Result;
+use crate::kernels::Precision;
 use crate::ops::{self, LayerNorm};
 use crate::parameters::{Scope, from_host};
 
@@ -13,13 +14,24 @@ use crate::parameters::{Scope, from_host};
 pub struct Encoder<'a> {
     scope: Scope<'a>,
     config: &'a Stage1Config,
+    precision: Precision,
 }
 
 impl<'a> Encoder<'a> {
     /// The encoder of a scope.
     #[must_use]
     pub fn new(scope: Scope<'a>, config: &'a Stage1Config) -> Self {
-        Self { scope, config }
+        Self {
+            scope,
+            config,
+            precision: Precision::F32,
+        }
+    }
+
+    /// The same with matrix products of other numbers.
+    #[must_use]
+    pub fn with_precision(self, precision: Precision) -> Self {
+        Self { precision, ..self }
     }
 
     /// Normalised patch tokens of RGB images in [0, 1]. `[S, 3, H, W] -> [S, N, C]`
@@ -89,7 +101,8 @@ impl<'a> Encoder<'a> {
     /// When a tensor is missing or has another shape.
     pub fn block(&self, index: usize) -> Result<Block> {
         let scope = self.scope.child(format_args!("blocks.{index}"));
-        Block::load(&scope, BlockKind::ENCODER, self.config.width, self.config.heads)
+        let kind = BlockKind::ENCODER.with(self.precision);
+        Block::load(&scope, kind, self.config.width, self.config.heads)
     }
 }
 

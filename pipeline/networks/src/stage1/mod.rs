@@ -17,6 +17,7 @@ pub mod network;
 pub mod positions;
 pub mod seeded;
 
+pub use crate::kernels::Precision;
 pub use aggregator::Attention;
 pub use config::{HeadKind, Stage1Config};
 pub use geometry::Camera;

@@ -7,6 +7,7 @@ use super::config::{HeadKind, Stage1Config};
 use super::encoder::Encoder;
 use super::geometry::Camera;
 use super::head::{DenseHead, FkBranch, TAP_EPSILON};
+use crate::kernels::Precision;
 use crate::ops::standardise;
 use crate::parameters::Parameters;
 use crate::{Error, Result};
@@ -20,6 +21,8 @@ pub struct Stage1 {
     pub config: Stage1Config,
     /// Weights.
     pub parameters: Parameters,
+    /// Numbers of the matrix products of encoder and aggregator; f32 unless set.
+    pub precision: Precision,
 }
 
 /// The source frames of one clip in token order: camera-major, wrist first, times ascending.
@@ -69,19 +72,23 @@ impl Stage1 {
     /// When the configuration is not possible.
     pub fn new(config: Stage1Config, parameters: Parameters) -> Result<Self> {
         config.validate()?;
-        Ok(Self { config, parameters })
+        Ok(Self {
+            config,
+            parameters,
+            precision: Precision::F32,
+        })
     }
 
     /// The image encoder.
     #[must_use]
     pub fn encoder(&self) -> Encoder<'_> {
-        Encoder::new(self.parameters.scope("backbone.encoder"), &self.config)
+        Encoder::new(self.parameters.scope("backbone.encoder"), &self.config).with_precision(self.precision)
     }
 
     /// The aggregator.
     #[must_use]
     pub fn aggregator(&self) -> Aggregator<'_> {
-        Aggregator::new(&self.parameters, &self.config)
+        Aggregator::new(&self.parameters, &self.config).with_precision(self.precision)
     }
 
     /// One of the dense heads.
@@ -119,11 +126,21 @@ impl Stage1 {
     /// # Errors
     /// As [`Self::encode`].
     pub fn encode_tokens(&self, frames: &SourceFrames, tokens: Tensor<3>) -> Result<Encoded> {
+        let [_, _, height, width] = frames.images.dims();
+        let grid = self.config.grid(height, width)?;
+        let tokens = self.embed(frames, tokens)?;
+        let taps = self.aggregator().forward(tokens, grid, &frames.attention)?;
+        self.encoded(taps, [height, width])
+    }
+
+    /// What enters the first pair of the aggregator: patch tokens with rays, time, pose and registers.
+    /// `[S, N, C] -> [S, T, C]`
+    ///
+    /// # Errors
+    /// As [`Self::encode`].
+    pub fn embed(&self, frames: &SourceFrames, tokens: Tensor<3>) -> Result<Tensor<3>> {
         let SourceFrames {
-            images,
-            cameras,
-            times,
-            attention,
+            images, cameras, times, ..
         } = frames;
         let [count, _, height, width] = images.dims();
         if cameras.len() != count || times.len() != count {
@@ -133,15 +150,20 @@ impl Stage1 {
             )));
         }
         cameras.iter().try_for_each(Camera::validate)?;
-        let grid = self.config.grid(height, width)?;
         let aggregator = self.aggregator();
         let rays = aggregator.normalise_rays(aggregator.ray_embedding(cameras, [height, width])?)?;
-        let tokens = aggregator.tokens(tokens + rays, cameras, times)?;
-        let taps = aggregator.forward(tokens, grid, attention)?;
+        aggregator.tokens(tokens + rays, cameras, times)
+    }
+
+    /// What the heads read of the outputs of the tapped pairs `[S, T, 2C]`.
+    ///
+    /// # Errors
+    /// When the image size is not one of whole patches.
+    pub fn encoded(&self, taps: [Tensor<3>; 4], [height, width]: [usize; 2]) -> Result<Encoded> {
+        let grid = self.config.grid(height, width)?;
         let first = self.config.patch_start();
-        let taps = taps.map(|tap| standardise(tap.narrow(1, first, grid[0] * grid[1]), TAP_EPSILON));
         Ok(Encoded {
-            taps,
+            taps: taps.map(|tap| standardise(tap.narrow(1, first, grid[0] * grid[1]), TAP_EPSILON)),
             grid,
             size: [height, width],
         })

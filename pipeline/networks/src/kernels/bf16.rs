@@ -1,0 +1,180 @@
+//! Tiles of bfloat16 pairs with f32 sums.
+//!
+//! A sum takes the products of a pair one after the other, the second first, each with one rounding. That is what the
+//! processor's instruction does, so processors without it give the same bits from the portable code, only slower.
+
+use super::product::{COLUMNS, DEPTH, Tile};
+use super::vectorised;
+
+/// Two numbers rounded to bfloat16 (to nearest, ties to even), the first in the lower half.
+#[inline(always)]
+pub(super) fn pair(first: f32, second: f32) -> u32 {
+    rounded(first) | rounded(second) << 16
+}
+
+#[inline(always)]
+fn rounded(value: f32) -> u32 {
+    let bits = value.to_bits();
+    let nearest = (bits + 0x7fff + ((bits >> 16) & 1)) >> 16;
+    // A NaN stays one.
+    if value.is_nan() { (bits >> 16) | 0x40 } else { nearest }
+}
+
+/// Rounds a row; where its length is odd the last pair ends with zero.
+pub(super) fn pack(row: &[f32], out: &mut [u32]) {
+    vectorised(
+        #[inline(always)]
+        || {
+            let pairs = row.chunks_exact(2);
+            if let [last] = pairs.remainder() {
+                out[row.len() / 2] = pair(*last, 0.0);
+            }
+            for (out, values) in out.iter_mut().zip(pairs) {
+                *out = pair(values[0], values[1]);
+            }
+        },
+    );
+}
+
+/// Adds the products of one tile: `values [ROWS][DEPTH]`, `weights [pairs][COLUMNS]`.
+pub(super) fn tile(values: &[u32], weights: &[u32], sums: &mut Tile) {
+    #[cfg(target_arch = "x86_64")]
+    if x86::is_available() {
+        x86::tile(values, weights, sums);
+        return;
+    }
+    portable_tile(values, weights, sums);
+}
+
+/// The same in code for any processor.
+fn portable_tile(values: &[u32], weights: &[u32], sums: &mut Tile) {
+    let halves = |pair: u32| [f32::from_bits(pair << 16), f32::from_bits(pair & 0xffff_0000)];
+    vectorised(
+        #[inline(always)]
+        || {
+            for (pair, weights) in weights.chunks_exact(COLUMNS).enumerate() {
+                for (row, sums) in sums.iter_mut().enumerate() {
+                    let [first, second] = halves(values[row * DEPTH + pair]);
+                    for (sum, &weight) in sums.iter_mut().zip(weights) {
+                        let [low, high] = halves(weight);
+                        *sum = first.mul_add(low, second.mul_add(high, *sum));
+                    }
+                }
+            }
+        },
+    );
+}
+
+/// The tile by the instruction `vdpbf16ps` (AVX512_BF16), which compilers do not find by themselves.
+#[cfg(target_arch = "x86_64")]
+#[allow(unsafe_code)]
+mod x86 {
+    use std::arch::x86_64::{
+        __m512bh, __m512i, _mm512_dpbf16_ps, _mm512_loadu_ps, _mm512_loadu_si512, _mm512_set1_epi32, _mm512_setzero_ps,
+        _mm512_storeu_ps,
+    };
+
+    use super::{COLUMNS, DEPTH, Tile};
+    use crate::kernels::product::{ROWS, for_rows};
+
+    /// Whether this processor has the instruction.
+    pub(super) fn is_available() -> bool {
+        std::arch::is_x86_feature_detected!("avx512bf16") && std::arch::is_x86_feature_detected!("avx512f")
+    }
+
+    /// Adds the products of one tile; only where [`is_available`].
+    pub(super) fn tile(values: &[u32], weights: &[u32], sums: &mut Tile) {
+        assert!(is_available() && values.len() >= ROWS * DEPTH && weights.len() <= DEPTH * COLUMNS);
+        // SAFETY: the features are there and the slices are long enough (asserted above).
+        unsafe { fill(values, weights, sums) };
+    }
+
+    /// # Safety
+    /// `values` holds `ROWS * DEPTH` pairs, `weights` at most `DEPTH` times `COLUMNS`.
+    #[target_feature(enable = "avx512f,avx512bf16")]
+    unsafe fn fill(values: &[u32], weights: &[u32], sums: &mut Tile) {
+        let mut total = [[_mm512_setzero_ps(); 2]; ROWS];
+        for_rows!(|ROW| {
+            // SAFETY: a row of the tile holds two vectors of sixteen sums.
+            unsafe {
+                let row = sums[ROW].as_ptr();
+                total[ROW] = [_mm512_loadu_ps(row), _mm512_loadu_ps(row.add(COLUMNS / 2))];
+            }
+        });
+        let as_pairs = |bits: __m512i| -> __m512bh {
+            // SAFETY: both types are 64 bytes of which any are valid.
+            unsafe { std::mem::transmute(bits) }
+        };
+        for (pair, weights) in weights.chunks_exact(COLUMNS).enumerate() {
+            // SAFETY: a chunk holds two vectors of sixteen pairs.
+            let [low, high] = unsafe {
+                [
+                    _mm512_loadu_si512(weights.as_ptr().cast()),
+                    _mm512_loadu_si512(weights.as_ptr().add(COLUMNS / 2).cast()),
+                ]
+            };
+            let [low, high] = [as_pairs(low), as_pairs(high)];
+            for_rows!(|ROW| {
+                // SAFETY: `pair < DEPTH`, as `weights` has at most so many chunks, and `values` holds all rows.
+                let value = unsafe { *values.get_unchecked(ROW * DEPTH + pair) };
+                let value = as_pairs(_mm512_set1_epi32(value.cast_signed()));
+                total[ROW][0] = _mm512_dpbf16_ps(total[ROW][0], value, low);
+                total[ROW][1] = _mm512_dpbf16_ps(total[ROW][1], value, high);
+            });
+        }
+        for_rows!(|ROW| {
+            // SAFETY: as above.
+            unsafe {
+                let row = sums[ROW].as_mut_ptr();
+                _mm512_storeu_ps(row, total[ROW][0]);
+                _mm512_storeu_ps(row.add(COLUMNS / 2), total[ROW][1]);
+            }
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::product::ROWS;
+    use super::super::product::tests::noise;
+    use super::*;
+
+    #[test]
+    fn rounding_is_to_nearest_and_ties_to_even() {
+        let known = [
+            0.0f32,
+            1.0,
+            -2.5,
+            1.003_906_3,
+            1.011_718_8,
+            3.0e38,
+            1e-39,
+            f32::INFINITY,
+        ];
+        for value in known.into_iter().chain(noise(5000, 3)) {
+            let expected = u32::from(half::bf16::from_f32(value).to_bits());
+            assert_eq!(rounded(value), expected, "{value}");
+        }
+        assert!(f32::from_bits(rounded(f32::NAN) << 16).is_nan());
+    }
+
+    #[test]
+    fn the_instruction_and_the_portable_code_give_the_same_bits() {
+        let pairs = |count: usize, seed| {
+            let values = noise(2 * count, seed);
+            values
+                .chunks_exact(2)
+                .map(|two| pair(two[0], two[1]))
+                .collect::<Vec<u32>>()
+        };
+        let (values, weights) = (pairs(ROWS * DEPTH, 5), pairs(DEPTH * COLUMNS, 6));
+        let mut found = [[0.5; COLUMNS]; ROWS];
+        let mut expected = found;
+        tile(&values, &weights, &mut found);
+        portable_tile(&values, &weights, &mut expected);
+        assert_eq!(
+            found.map(|row| row.map(f32::to_bits)),
+            expected.map(|row| row.map(f32::to_bits))
+        );
+    }
+}
