@@ -38,7 +38,7 @@ pub struct Render {
 /// What became of the Gaussians of a render.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Counts {
-    /// Gaussians that reach the image.
+    /// Gaussians that reach a tile of the image. Of those that graze its pixels, smaller tiles leave out more.
     pub visible: usize,
     /// Gaussians dropped because a value is not a finite number, a scale or opacity is negative, the quaternion is
     /// zero, a colour or extra channel is beyond 1e30, or the projection left the range of f32.

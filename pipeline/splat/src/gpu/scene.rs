@@ -131,7 +131,6 @@ pub(crate) fn view_words(view: &View, config: &RasterConfig) -> [f32; VIEW] {
         config.eps2d,
         config.min_opacity,
         config.min_compensation,
-        config.alpha_max,
     ]);
     words
 }

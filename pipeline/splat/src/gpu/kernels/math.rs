@@ -40,27 +40,49 @@ pub fn falloff_power(l: f32, lc: f32, dy: f32) -> f32 {
     fma(-l, l, lc * dy * dy)
 }
 
-/// Whether the level set of a record reaches the pixel centres of a tile. See `crate::project::reaches`.
+/// What the reach test needs of a record.
+#[derive(CubeType, Clone, Copy)]
+pub struct Ellipse {
+    pub x: f32,
+    pub y: f32,
+    pub la: f32,
+    pub lb: f32,
+    pub lc: f32,
+    pub power_min: f32,
+}
+
+/// The ellipse of a record.
 #[cube]
-pub fn reaches(records: &[f32], record: usize, x: f32, y: f32, side: f32) -> bool {
+pub fn ellipse(records: &[f32], record: usize) -> Ellipse {
     let at = record * RECORD;
-    let la = records[at + 2];
-    let lb = records[at + 3];
-    let lc = records[at + 4];
-    let xl = x + 0.5f32 - records[at];
-    let yl = y + 0.5f32 - records[at + 1];
+    Ellipse {
+        x: records[at],
+        y: records[at + 1],
+        la: records[at + 2],
+        lb: records[at + 3],
+        lc: records[at + 4],
+        power_min: records[at + 10],
+    }
+}
+
+/// Whether the level set of a Gaussian reaches the pixel centres of a tile with its corner at (x, y) and its last pixel
+/// `side` further. See `crate::project::reaches`.
+#[cube]
+pub fn reaches(g: &Ellipse, x: f32, y: f32, side: f32) -> bool {
+    let xl = x + 0.5f32 - g.x;
+    let yl = y + 0.5f32 - g.y;
     let xh = xl + side;
     let yh = yl + side;
     let ex = max(min(0.0f32, xh), xl);
     let ey = max(min(0.0f32, yh), yl);
     // Best point on the vertical line through ex and on the horizontal line through ey.
-    let y_best = max(min(la * lb / (lc - lb * lb) * ex, yh), yl);
-    let x_best = max(min(-lb / la * ey, xh), xl);
-    let l1 = la * ex + lb * y_best;
-    let l2 = la * x_best + lb * ey;
-    let p1 = falloff_power(l1, lc, y_best);
-    let p2 = falloff_power(l2, lc, ey);
-    max(p1, p2) >= records[at + 10]
+    let y_best = max(min(g.la * g.lb / (g.lc - g.lb * g.lb) * ex, yh), yl);
+    let x_best = max(min(-g.lb / g.la * ey, xh), xl);
+    let l1 = g.la * ex + g.lb * y_best;
+    let l2 = g.la * x_best + g.lb * ey;
+    let p1 = falloff_power(l1, g.lc, y_best);
+    let p2 = falloff_power(l2, g.lc, ey);
+    max(p1, p2) >= g.power_min
 }
 
 /// A camera with settings, unpacked.
@@ -96,7 +118,6 @@ pub struct View {
     pub eps2d: f32,
     pub min_opacity: f32,
     pub min_compensation: f32,
-    pub alpha_max: f32,
 }
 
 #[cube]
@@ -133,7 +154,6 @@ pub fn load_view(views: &[f32], view: usize) -> View {
         eps2d: views[at + 27],
         min_opacity: views[at + 28],
         min_compensation: views[at + 29],
-        alpha_max: views[at + 30],
     }
 }
 

@@ -25,7 +25,7 @@ pub(crate) const RECORD: usize = 11;
 /// Words of an entry: tile columns, tile rows (first in the low half), number of pairs, bits of z.
 pub(crate) const ENTRY: usize = 4;
 /// Words of a view; see `super::scene::view_words`.
-pub(crate) const VIEW: usize = 31;
+pub(crate) const VIEW: usize = 30;
 /// Extra channels of one pass.
 pub(crate) const EXTRA: usize = 4;
 /// Planes of an accumulated image: weight sum, red, green, blue, z, transmittance behind everything.

@@ -2,7 +2,7 @@
 
 use cubecl::prelude::*;
 
-use super::math::{View, basis, is_finite, load_view, log2_upper, reaches, rotation};
+use super::math::{Ellipse, View, basis, ellipse, is_finite, load_view, log2_upper, reaches, rotation};
 use super::{ENTRY, NO_RECORD, RECORD, SHAPE, TILE};
 
 /// `degree` of a scene with plain colours.
@@ -159,22 +159,30 @@ pub fn project(
                 let y0 = max((py - half_y - 0.5f32).ceil(), 0.0f32);
                 let y1 = min((py + half_y - 0.5f32).floor(), view.height - 1.0f32);
                 if is_finite(px) && is_finite(py) && x0 <= x1 && y0 <= y1 {
+                    let rounding = 1e-6f32 * (la * half_x + lb.abs() * half_y) * level.sqrt();
+                    let own = Ellipse {
+                        x: px,
+                        y: py,
+                        la,
+                        lb,
+                        lc: -FALLOFF * inv_c,
+                        power_min: -(level + 1e-4f32 + 2.0f32 * rounding),
+                    };
                     let at = entry * RECORD;
-                    records[at] = px;
-                    records[at + 1] = py;
-                    records[at + 2] = la;
-                    records[at + 3] = lb;
-                    records[at + 4] = -FALLOFF * inv_c;
+                    records[at] = own.x;
+                    records[at + 1] = own.y;
+                    records[at + 2] = own.la;
+                    records[at + 3] = own.lb;
+                    records[at + 4] = own.lc;
                     records[at + 5] = opacity;
                     colour(records, at + 6, colours, g, m0, m1, m2, &view, degree);
                     records[at + 9] = z;
-                    let rounding = 1e-6f32 * (la * half_x + lb.abs() * half_y) * level.sqrt();
-                    records[at + 10] = -(level + 1e-4f32 + 2.0f32 * rounding);
+                    records[at + 10] = own.power_min;
                     let column0 = u32::cast_from(x0) / comptime!(TILE as u32);
                     let column1 = u32::cast_from(x1) / comptime!(TILE as u32);
                     let row0 = u32::cast_from(y0) / comptime!(TILE as u32);
                     let row1 = u32::cast_from(y1) / comptime!(TILE as u32);
-                    pairs = count_tiles(records, entry, column0, column1, row0, row1);
+                    pairs = count_tiles(&own, column0, column1, row0, row1);
                     entries[entry * ENTRY] = column0 | (column1 << 16u32);
                     entries[entry * ENTRY + 1] = row0 | (row1 << 16u32);
                 }
@@ -235,23 +243,23 @@ fn colour(
     }
 }
 
-/// Whether a record reaches a tile of its rectangle.
+/// Whether a Gaussian reaches a tile of its rectangle.
 #[cube]
-fn reaches_tile(records: &[f32], entry: usize, column: u32, row: u32, narrow: bool) -> bool {
+fn reaches_tile(g: &Ellipse, column: u32, row: u32, narrow: bool) -> bool {
     // The level set touches all sides of its box, so it reaches every tile of a single row or column.
     let side = comptime!((TILE - 1) as f32);
     let x = f32::cast_from(column * comptime!(TILE as u32));
     let y = f32::cast_from(row * comptime!(TILE as u32));
-    narrow || reaches(records, entry, x, y, side)
+    narrow || reaches(g, x, y, side)
 }
 
 #[cube]
-fn count_tiles(records: &[f32], entry: usize, column0: u32, column1: u32, row0: u32, row1: u32) -> u32 {
+fn count_tiles(g: &Ellipse, column0: u32, column1: u32, row0: u32, row1: u32) -> u32 {
     let narrow = column0 == column1 || row0 == row1;
     let mut pairs = 0u32;
     for row in row0..row1 + 1u32 {
         for column in column0..column1 + 1u32 {
-            if reaches_tile(records, entry, column, row, narrow) {
+            if reaches_tile(g, column, row, narrow) {
                 pairs += 1u32;
             }
         }
@@ -308,10 +316,11 @@ pub fn file(
             let row1 = entries[at + 1] >> 16u32;
             let narrow = column0 == column1 || row0 == row1;
             let view = entry / gaussians;
+            let own = ellipse(records, entry as usize);
             let mut found = 0u32;
             for row in row0..row1 + 1u32 {
                 for column in column0..column1 + 1u32 {
-                    if found < pairs && reaches_tile(records, entry as usize, column, row, narrow) {
+                    if found < pairs && reaches_tile(&own, column, row, narrow) {
                         let pair = (offset + found) as usize;
                         keys[pair] = view * tiles + row * columns + column;
                         values[pair] = pair as u32;
