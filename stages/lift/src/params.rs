@@ -1,5 +1,6 @@
 //! Parameters of the stage; the defaults are the paper's method.
 
+use rogs_networks::stage1::Precision;
 use rogs_networks::stage1::decode::{MOTION_GATE_IU, MotionGates};
 use rogs_worker::{StageError, StageResult};
 use schemars::JsonSchema;
@@ -34,10 +35,31 @@ pub struct LiftParams {
     pub source_frames: Option<Vec<u32>>,
     /// Whether the field keeps what is needed to be asked at other times.
     pub query_state: QueryState,
+    /// Numbers of the large matrix products of encoder and aggregator.
+    pub precision: Numbers,
     /// What patch tokens are made from.
     pub tokens: TokenSource,
     /// Pixels per latent that the latents must have (8 or 16); null for what their file says.
     pub latent_stride: Option<u32>,
+}
+
+/// Numbers of large matrix products; sums and everything else are f32.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Numbers {
+    /// f32.
+    F32,
+    /// Operands rounded to bfloat16: faster on processors with AVX512_BF16, the same bits on others, and less exact.
+    Bf16,
+}
+
+impl From<Numbers> for Precision {
+    fn from(numbers: Numbers) -> Self {
+        match numbers {
+            Numbers::F32 => Self::F32,
+            Numbers::Bf16 => Self::Bf16,
+        }
+    }
 }
 
 /// What patch tokens are made from.
@@ -101,6 +123,7 @@ impl Default for LiftParams {
             rgb_downsample: 1,
             source_frames: None,
             query_state: QueryState::Auto,
+            precision: Numbers::F32,
             tokens: TokenSource::Rgb,
             latent_stride: None,
         }

@@ -69,25 +69,18 @@ impl PackedAttention<'_> {
                         ]
                     })
                     .collect();
-                output.par_chunks_mut(ROWS * width).enumerate().for_each_init(
-                    Default::default,
-                    |scratch, (block, output)| {
+                output
+                    .par_chunks_mut(ROWS * width)
+                    .enumerate()
+                    .for_each_init(Vec::new, |scores, (block, output)| {
                         let rows = output.len() / width;
                         for (head, sides) in sides.iter().enumerate() {
                             let first = (head * tokens + block * ROWS) * size;
                             let bias = &self.bias[2 * width + head * size..][..size];
                             let output = &mut output[head * size..];
-                            attend(
-                                &queries[first..first + rows * size],
-                                sides,
-                                bias,
-                                output,
-                                width,
-                                scratch,
-                            );
+                            attend(&queries[first..first + rows * size], sides, bias, output, width, scores);
                         }
-                    },
-                );
+                    });
             });
         output
     }
@@ -128,18 +121,18 @@ impl PackedAttention<'_> {
     }
 }
 
-/// One head of one block of query rows; rows of `output` are `stride` apart. `scratch` holds scores and packed rows.
+/// One head of one block of query rows; rows of `output` are `stride` apart. `scores` is memory to be used again.
 fn attend(
     queries: &[f32],
     [keys, values]: &[PackedWeight; 2],
     bias: &[f32],
     output: &mut [f32],
     stride: usize,
-    (scores, packed): &mut (Vec<f32>, Vec<u32>),
+    scores: &mut Vec<f32>,
 ) {
     let (rows, tokens) = (queries.len() / bias.len(), keys.outputs());
     scores.resize(rows * tokens, 0.0);
-    keys.rows(queries, scores, tokens, packed, |_, _, _| {});
+    keys.rows(queries, scores, tokens, |_, _, _| {});
     let mut inverses = [0.0f32; ROWS];
     for (row, inverse) in scores.chunks_exact_mut(tokens).zip(&mut inverses) {
         *inverse = 1.0 / Arch::new().dispatch(Exponentials(row));
@@ -148,7 +141,6 @@ fn attend(
         scores,
         output,
         stride,
-        packed,
         // The weights of a row sum to one, so the bias of the values adds to their mean.
         #[inline(always)]
         |row, column, values| {

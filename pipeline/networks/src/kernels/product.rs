@@ -5,6 +5,8 @@
 //! numbers rounded to bfloat16 whose products are summed in f32 ([`Precision::Bf16`]). A sum takes its terms in ascending
 //! order block by block, whatever the number of threads.
 
+use std::cell::Cell;
+
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
@@ -35,6 +37,11 @@ pub(super) use for_rows;
 
 /// The sums of a tile.
 pub(super) type Tile = [[f32; COLUMNS]; ROWS];
+
+thread_local! {
+    /// Packed rows, kept from one product to the next.
+    static SCRATCH: Cell<Vec<u32>> = const { Cell::new(Vec::new()) };
+}
 
 /// Numbers that large matrix products are made of. Everything else is f32.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -133,12 +140,11 @@ impl PackedWeight {
             .par_chunks_mut(TASK_ROWS * outputs)
             .zip(x.par_chunks(TASK_ROWS * inputs))
             .enumerate()
-            .for_each_init(Vec::new, |scratch, (task, (result, x))| {
+            .for_each(|(task, (result, x))| {
                 self.rows(
                     x,
                     result,
                     outputs,
-                    scratch,
                     #[inline(always)]
                     |row, column, values| finish(task * TASK_ROWS + row, column, values),
                 );
@@ -146,19 +152,12 @@ impl PackedWeight {
         result
     }
 
-    /// The product with rows of inputs on the calling thread; rows of `result` are `stride` apart. `scratch` is memory to be
-    /// used again.
-    pub(crate) fn rows(
-        &self,
-        x: &[f32],
-        result: &mut [f32],
-        stride: usize,
-        scratch: &mut Vec<u32>,
-        finish: impl Fn(usize, usize, &mut [f32]),
-    ) {
+    /// The product with rows of inputs on the calling thread; rows of `result` are `stride` apart.
+    pub(crate) fn rows(&self, x: &[f32], result: &mut [f32], stride: usize, finish: impl Fn(usize, usize, &mut [f32])) {
         let (inputs, outputs, numbers) = (self.inputs, self.outputs, self.precision.numbers());
         let (count, panels) = (inputs.div_ceil(numbers), outputs.div_ceil(COLUMNS));
         let rows = x.len() / inputs.max(1);
+        let mut scratch = SCRATCH.take();
         scratch.resize(rows.next_multiple_of(ROWS) * DEPTH, 0);
         for first in (0..count).step_by(DEPTH) {
             let length = DEPTH.min(count - first);
@@ -198,6 +197,7 @@ impl PackedWeight {
                 }
             }
         }
+        SCRATCH.set(scratch);
     }
 
     /// Packs a part of one row of a strip: `[DEPTH][ROWS]` of f32, `[ROWS][DEPTH]` of pairs.
@@ -346,7 +346,7 @@ pub(super) mod tests {
             let expected = PackedWeight::new(&weight, inputs, precision).apply(&x, |_, _, _| {});
             let packed = PackedWeight::strided(&transposed, [outputs, inputs], [1, outputs], precision);
             let mut found = vec![7.0; (rows - 1) * stride + outputs];
-            packed.rows(&x, &mut found, stride, &mut Vec::new(), |_, _, _| {});
+            packed.rows(&x, &mut found, stride, |_, _, _| {});
             for (row, expected) in expected.chunks_exact(outputs).enumerate() {
                 assert_eq!(&found[row * stride..][..outputs], expected);
             }

@@ -160,9 +160,7 @@ impl<'a> Aggregator<'a> {
     /// # Errors
     /// When a tensor is missing or has another shape.
     pub fn pair(&self, index: usize, tokens: Tensor<3>, layout: &TokenLayout) -> Result<[Tensor<3>; 2]> {
-        let frame = self
-            .block("frame_blocks", index)?
-            .forward(tokens, Some(&layout.rotary));
+        let frame = self.block("frame_blocks", index)?.forward(tokens, Some(&layout.rotary));
         let global = self.global(index, frame.clone(), &layout.rotary, &layout.groups)?;
         Ok([frame, global])
     }

@@ -4,7 +4,7 @@
 use rayon::prelude::*;
 
 use super::RefinerConfig;
-use super::kernels::{LayerNorm, Linear, ROWS_PER_PIECE, add_assign, gelu_in_place, neighbour_attention};
+use super::kernels::{LayerNorm, Linear, ROWS_PER_PIECE, add_assign, neighbour_attention};
 use super::resnet::checked;
 use crate::parameters::Parameters;
 use crate::{Error, Result};
@@ -141,8 +141,7 @@ impl HostUpdater {
                     let [first, second, third, last] = &self.head;
                     for layer in [first, second, third] {
                         to.resize(from.len(), 0.0);
-                        layer.apply(from, to);
-                        gelu_in_place(to);
+                        layer.apply_gelu(from, to);
                         std::mem::swap(from, to);
                     }
                     last.apply(from, residuals);
@@ -177,8 +176,7 @@ impl Block {
                     narrow.copy_from_slice(tokens);
                     self.norm2.apply(narrow);
                     wide.resize(4 * tokens.len(), 0.0);
-                    self.expand.apply(narrow, wide);
-                    gelu_in_place(wide);
+                    self.expand.apply_gelu(narrow, wide);
                     self.contract.apply(wide, narrow);
                     add_assign(tokens, narrow);
                 },

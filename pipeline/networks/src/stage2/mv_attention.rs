@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::kernels::{LayerNorm, Linear, Plane, ROWS_PER_PIECE, Winograd, add_assign, gelu_in_place, self_attention};
+use super::kernels::{LayerNorm, Linear, Plane, ROWS_PER_PIECE, Winograd, add_assign, self_attention};
 use super::resnet::checked;
 use crate::parameters::Parameters;
 use crate::{Error, Result};
@@ -192,8 +192,7 @@ impl MultiViewAttention {
             let mut normalised = piece.to_vec();
             self.norm2.apply(&mut normalised);
             let mut hidden = vec![0.0; 4 * piece.len()];
-            self.expand.apply(&normalised, &mut hidden);
-            gelu_in_place(&mut hidden);
+            self.expand.apply_gelu(&normalised, &mut hidden);
             self.contract.apply(&hidden, &mut normalised);
             add_assign(piece, &normalised);
         });

@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::dense::{MatrixRef, exp, matrix_product};
-use crate::kernels::vectorised;
+use super::dense::{add_assign, exp};
+use crate::kernels::{PackedWeight, Precision, vectorised};
 
 /// Query rows that one piece of work handles.
 const QUERIES: usize = 128;
@@ -21,35 +21,32 @@ pub(crate) fn self_attention(qkv: &[f32], channels: usize, heads: usize) -> Vec<
     let tokens = qkv.len() / (3 * channels);
     let width = channels / heads;
     let scale = 1.0 / (width as f32).sqrt();
-    let keys = transposed_keys(qkv, channels);
+    let blocks: Vec<KeyBlock> = (0..heads * tokens.div_ceil(KEYS))
+        .into_par_iter()
+        .map(|block| KeyBlock::new(qkv, channels, width, block % heads, block / heads * KEYS))
+        .collect();
     let mut out = vec![0.0; tokens * channels];
     // One piece is a run of queries of all heads, so that pieces own disjoint rows of the output.
     out.par_chunks_mut(QUERIES * channels).enumerate().for_each_init(
-        || (vec![0.0; QUERIES * KEYS], vec![0.0; QUERIES * width]),
-        |(scores, mixed), (piece, out)| {
+        || [const { Vec::new() }; 4],
+        |[queries, scores, mixed, added], (piece, out)| {
             let rows = out.len() / channels;
-            let mixed = &mut mixed[..rows * width];
             for head in 0..heads {
-                let view = |part: usize, first: usize, rows: usize| MatrixRef {
-                    data: &qkv[first * 3 * channels + part * channels + head * width..],
-                    rows,
-                    columns: width,
-                    row_stride: 3 * channels,
-                    column_stride: 1,
-                };
+                queries.clear();
+                for row in qkv[piece * QUERIES * 3 * channels..]
+                    .chunks_exact(3 * channels)
+                    .take(rows)
+                {
+                    queries.extend_from_slice(&row[head * width..(head + 1) * width]);
+                }
                 let mut running = [Running::default(); QUERIES];
-                mixed.fill(0.0);
-                for first in (0..tokens).step_by(KEYS) {
-                    let count = KEYS.min(tokens - first);
-                    let scores = &mut scores[..rows * count];
-                    let keys = MatrixRef {
-                        data: &keys[head * width * tokens + first..],
-                        rows: width,
-                        columns: count,
-                        row_stride: tokens,
-                        column_stride: 1,
-                    };
-                    matrix_product(view(0, piece * QUERIES, rows), keys, scores, false);
+                mixed.clear();
+                mixed.resize(rows * width, 0.0);
+                added.resize(rows * width, 0.0);
+                for block in blocks.iter().skip(head).step_by(heads) {
+                    let count = block.keys.outputs();
+                    scores.resize(rows * count, 0.0);
+                    block.keys.rows(queries, scores, count, |_, _, _| {});
                     vectorised(
                         #[inline(always)]
                         || {
@@ -59,7 +56,8 @@ pub(crate) fn self_attention(qkv: &[f32], channels: usize, heads: usize) -> Vec<
                             }
                         },
                     );
-                    matrix_product(MatrixRef::rows(scores, rows, count), view(2, first, count), mixed, true);
+                    block.values.rows(scores, added, width, |_, _, _| {});
+                    add_assign(mixed, added);
                 }
                 let rows = out.chunks_exact_mut(channels).zip(mixed.chunks_exact(width));
                 for ((out, mixed), running) in rows.zip(&running) {
@@ -73,21 +71,22 @@ pub(crate) fn self_attention(qkv: &[f32], channels: usize, heads: usize) -> Vec<
     out
 }
 
-/// The keys with channels as rows, which is how the product takes them in fastest. `[channels, n]`
-fn transposed_keys(qkv: &[f32], channels: usize) -> Vec<f32> {
-    let tokens = qkv.len() / (3 * channels);
-    let mut keys = vec![0.0; channels * tokens];
-    keys.par_chunks_mut(LANES * tokens)
-        .enumerate()
-        .for_each(|(piece, keys)| {
-            for (token, row) in qkv.chunks_exact(3 * channels).enumerate() {
-                let row = &row[channels + piece * LANES..][..keys.len() / tokens];
-                for (channel, &value) in row.iter().enumerate() {
-                    keys[channel * tokens + token] = value;
-                }
-            }
-        });
-    keys
+/// Some keys of one head and their values, packed for products.
+struct KeyBlock {
+    keys: PackedWeight,
+    values: PackedWeight,
+}
+
+impl KeyBlock {
+    fn new(qkv: &[f32], channels: usize, width: usize, head: usize, first: usize) -> Self {
+        let row = 3 * channels;
+        let count = KEYS.min(qkv.len() / row - first);
+        let part = |index: usize| &qkv[first * row + index * channels + head * width..];
+        Self {
+            keys: PackedWeight::strided(part(1), [count, width], [row, 1], Precision::F32),
+            values: PackedWeight::strided(part(2), [width, count], [1, row], Precision::F32),
+        }
+    }
 }
 
 /// Largest logit of a query so far, and the sum of its weights relative to that.

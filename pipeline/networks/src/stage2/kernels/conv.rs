@@ -3,7 +3,8 @@
 use rayon::prelude::*;
 
 use super::Plane;
-use super::dense::{MatrixRef, matrix_product};
+use super::dense::add_assign;
+use crate::kernels::{PackedWeight, Precision};
 use crate::{Error, Result};
 
 /// A square convolution with zero padding.
@@ -16,6 +17,7 @@ pub(crate) struct Conv {
     outputs: usize,
     /// `[size, size, inputs, outputs]`
     weight: Vec<f32>,
+    packed: PackedWeight,
     /// `[outputs]`
     bias: Vec<f32>,
 }
@@ -52,6 +54,7 @@ impl Conv {
             padding: size / 2,
             inputs,
             outputs,
+            packed: packed(&reordered, outputs),
             weight: reordered,
             bias,
         })
@@ -67,6 +70,7 @@ impl Conv {
         for ((bias, scale), shift) in self.bias.iter_mut().zip(scale).zip(shift) {
             *bias = *bias * scale + shift;
         }
+        self.packed = packed(&self.weight, self.outputs);
         self
     }
 
@@ -89,11 +93,13 @@ impl Conv {
                     let patches = &mut patches[row * out.width * columns..][..out.width * columns];
                     self.gather_row(map, piece * rows + row, patches);
                 }
-                for pixel in data.chunks_exact_mut(self.outputs) {
-                    pixel.copy_from_slice(&self.bias);
-                }
-                let weight = MatrixRef::rows(&self.weight, columns, self.outputs);
-                matrix_product(MatrixRef::rows(patches, pixels, columns), weight, data, true);
+                self.packed.rows(
+                    patches,
+                    data,
+                    self.outputs,
+                    #[inline(always)]
+                    |_, column, values| add_assign(values, &self.bias[column..]),
+                );
             });
         out
     }
@@ -119,6 +125,12 @@ impl Conv {
             }
         }
     }
+}
+
+/// Weights `[taps and inputs, outputs]` packed for products.
+fn packed(weight: &[f32], outputs: usize) -> PackedWeight {
+    let inputs = weight.len() / outputs.max(1);
+    PackedWeight::strided(weight, [outputs, inputs], [1, outputs], Precision::F32)
 }
 
 /// 3x3 maximum, stride 2, padding 1.

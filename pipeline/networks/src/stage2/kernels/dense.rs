@@ -3,76 +3,15 @@
 use rayon::prelude::*;
 
 use super::ROWS_PER_PIECE;
-use crate::kernels::vectorised;
+use crate::kernels::{PackedWeight, Precision, vectorised};
 use crate::{Error, Result};
-
-/// A strided view of a matrix in a slice: element `(r, c)` is `data[r * row_stride + c * column_stride]`.
-#[derive(Clone, Copy)]
-pub(super) struct MatrixRef<'a> {
-    pub(super) data: &'a [f32],
-    pub(super) rows: usize,
-    pub(super) columns: usize,
-    pub(super) row_stride: usize,
-    pub(super) column_stride: usize,
-}
-
-impl<'a> MatrixRef<'a> {
-    /// A contiguous row-major matrix.
-    pub(super) fn rows(data: &'a [f32], rows: usize, columns: usize) -> Self {
-        Self {
-            data,
-            rows,
-            columns,
-            row_stride: columns,
-            column_stride: 1,
-        }
-    }
-}
-
-/// `out = a b` (or `out += a b`), `out` contiguous row-major. Runs on the calling thread alone.
-#[allow(unsafe_code)]
-pub(super) fn matrix_product(a: MatrixRef<'_>, b: MatrixRef<'_>, out: &mut [f32], accumulate: bool) {
-    let fits = |m: &MatrixRef<'_>| {
-        m.rows == 0 || m.columns == 0 || (m.rows - 1) * m.row_stride + (m.columns - 1) * m.column_stride < m.data.len()
-    };
-    assert!(
-        fits(&a) && fits(&b) && a.columns == b.rows && out.len() == a.rows * b.columns,
-        "matrix sizes disagree"
-    );
-    // SAFETY: the assertion above keeps every element that `gemm` touches inside the three slices; `out` is borrowed
-    // mutably, so it does not overlap the operands.
-    unsafe {
-        gemm::gemm(
-            a.rows,
-            b.columns,
-            a.columns,
-            out.as_mut_ptr(),
-            1,
-            b.columns as isize,
-            accumulate,
-            a.data.as_ptr(),
-            a.column_stride as isize,
-            a.row_stride as isize,
-            b.data.as_ptr(),
-            b.column_stride as isize,
-            b.row_stride as isize,
-            1.0,
-            1.0,
-            false,
-            false,
-            false,
-            gemm::Parallelism::None,
-        );
-    }
-}
 
 /// A linear layer: `y = W x + b` per row.
 #[derive(Debug, Clone)]
 pub(crate) struct Linear {
-    /// `[in, out]`: the product packs rows of outputs, which then lie side by side.
-    weight: Vec<f32>,
-    /// `[out]`.
-    bias: Option<Vec<f32>>,
+    weight: PackedWeight,
+    /// `[out]`
+    bias: Vec<f32>,
     inputs: usize,
     outputs: usize,
 }
@@ -80,19 +19,14 @@ pub(crate) struct Linear {
 impl Linear {
     /// A layer from values in PyTorch layout.
     pub(crate) fn new(weight: Vec<f32>, bias: Option<Vec<f32>>, inputs: usize, outputs: usize) -> Result<Self> {
-        if weight.len() != inputs * outputs || bias.as_ref().is_some_and(|bias| bias.len() != outputs) {
+        let bias = bias.unwrap_or_else(|| vec![0.0; outputs]);
+        if weight.len() != inputs * outputs || bias.len() != outputs {
             return Err(Error::BadConfiguration(format!(
                 "a linear layer {inputs} -> {outputs} has other weight sizes"
             )));
         }
-        let mut transposed = vec![0.0; weight.len()];
-        for (output, row) in weight.chunks_exact(inputs).enumerate() {
-            for (input, &value) in row.iter().enumerate() {
-                transposed[input * outputs + output] = value;
-            }
-        }
         Ok(Self {
-            weight: transposed,
+            weight: PackedWeight::new(&weight, inputs, Precision::F32),
             bias,
             inputs,
             outputs,
@@ -106,15 +40,28 @@ impl Linear {
 
     /// The layer on one piece of rows, on the calling thread. `[n, inputs]` to `[n, outputs]`
     pub(crate) fn apply(&self, x: &[f32], out: &mut [f32]) {
-        let rows = x.len() / self.inputs;
-        let accumulate = self.bias.is_some();
-        if let Some(bias) = &self.bias {
-            for row in out.chunks_exact_mut(self.outputs) {
-                row.copy_from_slice(bias);
-            }
-        }
-        let weight = MatrixRef::rows(&self.weight, self.inputs, self.outputs);
-        matrix_product(MatrixRef::rows(x, rows, self.inputs), weight, out, accumulate);
+        self.weight.rows(
+            x,
+            out,
+            self.outputs,
+            #[inline(always)]
+            |_, column, values| add_assign(values, &self.bias[column..]),
+        );
+    }
+
+    /// The same, followed by [`gelu_in_place`].
+    pub(crate) fn apply_gelu(&self, x: &[f32], out: &mut [f32]) {
+        self.weight.rows(
+            x,
+            out,
+            self.outputs,
+            #[inline(always)]
+            |_, column, values| {
+                for (value, bias) in values.iter_mut().zip(&self.bias[column..]) {
+                    *value = gelu(*value + bias);
+                }
+            },
+        );
     }
 
     /// The layer on all rows. `[n, inputs]` to `[n, outputs]`
@@ -180,6 +127,7 @@ fn sum_of(row: &[f32], term: impl Fn(f32) -> f32) -> f32 {
 }
 
 /// Adds `y` to `x` element by element.
+#[inline(always)]
 pub(crate) fn add_assign(x: &mut [f32], y: &[f32]) {
     for (x, y) in x.iter_mut().zip(y) {
         *x += y;

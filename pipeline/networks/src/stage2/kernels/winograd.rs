@@ -8,8 +8,7 @@
 use rayon::prelude::*;
 
 use super::Plane;
-use super::dense::{MatrixRef, matrix_product};
-use crate::kernels::vectorised;
+use crate::kernels::{PackedWeight, Precision, vectorised};
 use crate::{Error, Result};
 
 /// Side of an output tile.
@@ -30,8 +29,8 @@ type Lanes = [f32; LANES];
 pub(crate) struct Winograd {
     inputs: usize,
     outputs: usize,
-    /// Transformed weights. `[16, inputs, outputs]`
-    weight: Vec<f32>,
+    /// Transformed weights of each point.
+    weight: Vec<PackedWeight>,
     /// `[outputs]`
     bias: Vec<f32>,
 }
@@ -49,14 +48,17 @@ impl Winograd {
             for input in 0..inputs {
                 let kernel = &weight[(output * inputs + input) * 9..][..9];
                 for (point, value) in transformed_kernel(kernel).into_iter().enumerate() {
-                    transformed[(point * inputs + input) * outputs + output] = value as f32;
+                    transformed[(point * outputs + output) * inputs + input] = value as f32;
                 }
             }
         }
         Ok(Self {
             inputs,
             outputs,
-            weight: transformed,
+            weight: transformed
+                .chunks_exact(inputs * outputs)
+                .map(|weight| PackedWeight::new(weight, inputs, Precision::F32))
+                .collect(),
             bias,
         })
     }
@@ -89,15 +91,10 @@ impl Winograd {
                         }
                     },
                 );
-                for point in 0..POINTS {
+                for (point, weight) in self.weight.iter().enumerate() {
                     let values = &inputs[point * in_stride..][..tiles * self.inputs];
-                    let weight = &self.weight[point * self.inputs * self.outputs..][..self.inputs * self.outputs];
-                    matrix_product(
-                        MatrixRef::rows(values, tiles, self.inputs),
-                        MatrixRef::rows(weight, self.inputs, self.outputs),
-                        &mut outputs[point * out_stride..][..tiles * self.outputs],
-                        false,
-                    );
+                    let results = &mut outputs[point * out_stride..][..tiles * self.outputs];
+                    weight.rows(values, results, self.outputs, |_, _, _| {});
                 }
                 vectorised(
                     #[inline(always)]
