@@ -60,7 +60,11 @@ fn check(network: &Lpips, folder: &Path, golden: &Value, tolerance: f64) {
         let unit: Vec<f32> = rgb.iter().map(|&value| f32::from(value) / 255.0).collect();
         let own = network.features(&unit, height, width).unwrap();
         let sooner = network.distance_from(&unit, height, width, &b).unwrap();
-        assert_eq!(sooner, network.distance(&own, &b).unwrap(), "{pair}: with and without keeping");
+        assert_eq!(
+            sooner,
+            network.distance(&own, &b).unwrap(),
+            "{pair}: with and without keeping"
+        );
         assert_eq!(network.distance(&a, &a).unwrap(), golden["self_zero"].as_f64().unwrap());
     }
     println!("worst relative error of distances and layer terms: {worst:.2e}");

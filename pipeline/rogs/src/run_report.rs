@@ -225,11 +225,14 @@ fn timing(plan: &Plan, clip: usize, score: usize, sheet: &ScoreSheet, costs: &BT
     for upstream in plan.upstream(score) {
         match plan.nodes[upstream].stage.as_str() {
             "lift" => timing.lift_s = without_loading(upstream),
-            // Of a field after fewer updates than were made the time is not known.
             "refine" => {
-                let update = node.params.get("update").filter(|update| !update.is_null());
-                let all = plan.nodes[upstream].params.get("updates");
-                timing.refine_s = without_loading(upstream).filter(|_| update.is_none() || update == all);
+                let scored = node.params.get("update").and_then(serde_json::Value::as_u64);
+                let made = plan.nodes[upstream]
+                    .params
+                    .get("updates")
+                    .and_then(serde_json::Value::as_u64);
+                let seconds = costs.get(&upstream).map(|attempt| &attempt.seconds);
+                timing.refine_s = seconds.and_then(|seconds| refinement_seconds(seconds, scored, made));
             }
             _ => continue,
         }
@@ -239,6 +242,25 @@ fn timing(plan: &Plan, clip: usize, score: usize, sheet: &ScoreSheet, costs: &BT
     }
     timing.peak_rss_bytes = peak;
     timing
+}
+
+/// Time of a refinement without loading, from its phases; of a field after fewer updates than were made (`scored`) that of
+/// the later ones less. Not known for ledgers older than the times by update unless all `made` are scored, and nothing
+/// where nothing was refined.
+fn refinement_seconds(seconds: &BTreeMap<String, f64>, scored: Option<u64>, made: Option<u64>) -> Option<f64> {
+    let all = seconds.get("total")? - seconds.get("load").unwrap_or(&0.0);
+    let update = |phase: (&String, &f64)| Some((phase.0.strip_prefix("update_")?.parse::<u64>().ok()?, *phase.1));
+    let Some(scored) = scored else {
+        return Some(all.max(0.0));
+    };
+    let updates: Vec<(u64, f64)> = seconds.iter().filter_map(update).collect();
+    let known = scored > 0 && (made == Some(scored) || updates.iter().any(|(number, _)| *number == scored));
+    let later: f64 = updates
+        .iter()
+        .filter(|(number, _)| *number > scored)
+        .map(|(_, s)| s)
+        .sum();
+    known.then(|| (all - later).max(0.0))
 }
 
 /// What an outside method says its own steps cost; nothing when it says nothing that is understood.
@@ -405,5 +427,40 @@ fn report_table(table: &Table) -> ReportTable {
         rows: table.rows.iter().map(row).collect(),
         columns,
         footnotes: table.footnotes.clone(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fewer_updates_cost_the_run_without_the_later_ones() {
+        let phases = |phases: &[(&str, f64)]| -> BTreeMap<String, f64> {
+            phases
+                .iter()
+                .map(|&(name, seconds)| (name.to_owned(), seconds))
+                .collect()
+        };
+        let own = phases(&[
+            ("total", 20.0),
+            ("load", 3.0),
+            ("refine", 16.0),
+            ("update_1", 5.0),
+            ("update_2", 4.0),
+            ("update_10", 6.0),
+        ]);
+        let of = |scored| refinement_seconds(&own, scored, Some(10));
+        assert_eq!(
+            [of(None), of(Some(10)), of(Some(2)), of(Some(1))],
+            [17.0, 17.0, 11.0, 7.0].map(Some)
+        );
+        // Nothing is refined for update 0; of an update that was not made here nothing is known.
+        assert_eq!([of(Some(0)), of(Some(3))], [None, None]);
+        let older = phases(&[("total", 20.0), ("load", 3.0), ("refine", 16.0)]);
+        assert_eq!(refinement_seconds(&older, Some(1), Some(2)), None);
+        assert_eq!(refinement_seconds(&older, Some(2), Some(2)), Some(17.0));
+        assert_eq!(refinement_seconds(&older, None, None), Some(17.0));
+        assert_eq!(refinement_seconds(&phases(&[]), None, None), None);
     }
 }

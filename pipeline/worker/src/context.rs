@@ -139,7 +139,12 @@ impl Context<'_> {
     pub fn timed<T>(&mut self, name: &str, phase: impl FnOnce(&mut Self) -> T) -> T {
         let start = Instant::now();
         let result = phase(self);
-        *self.seconds.entry(name.to_owned()).or_default() += start.elapsed().as_secs_f64();
+        self.add_seconds(name, start.elapsed().as_secs_f64());
         result
+    }
+
+    /// Adds seconds that were measured elsewhere to the report under `name`.
+    pub fn add_seconds(&mut self, name: &str, seconds: f64) {
+        *self.seconds.entry(name.to_owned()).or_default() += seconds;
     }
 }

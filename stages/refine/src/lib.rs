@@ -18,6 +18,7 @@ mod weights;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use rogs_schemas::Record;
 use rogs_schemas::protocol::InputDescription;
@@ -29,7 +30,7 @@ use rogs_schemas::records::robot::RobotMaps;
 use rogs_worker::{Context, Stage, StageError, StageResult};
 
 pub use params::{MOST_UPDATES, RefineParams};
-pub use refinement::{ClipInputs, refine};
+pub use refinement::{ClipInputs, refine, refine_updates};
 pub use weights::{CI_WEIGHTS, LoadedRefiner, load_refiner};
 
 /// The stage.
@@ -98,11 +99,16 @@ impl Stage for Refine {
             resume: resume.as_ref(),
         };
         let (network, params) = (&self.network, &self.params);
+        let mut updates = Vec::new();
         let refinement = context.timed("refine", |context| {
-            refine(inputs, network, params, &mut |fraction, message| {
-                context.progress(fraction, message)
-            })
+            let mut report = |fraction: f64, message: &str| context.progress(fraction, message);
+            let mut updated = |update: u32, time: Duration| updates.push((update, time));
+            refine_updates(inputs, network, params, &mut report, &mut updated)
         })?;
+        // By update, for the time that fewer updates would have taken.
+        for (update, time) in updates {
+            context.add_seconds(&format!("update_{update}"), time.as_secs_f64());
+        }
         context.write(&refinement)
     }
 }

@@ -1,5 +1,7 @@
 //! The recurrent refinement of one clip (`stage2-network.md` section B.7).
 
+use std::time::{Duration, Instant};
+
 use rogs_networks::stage2::{Correction, Plane, Refiner, TokenSet};
 use rogs_schemas::key::CacheKey;
 use rogs_schemas::records::clip::Clip;
@@ -54,6 +56,20 @@ pub fn refine(
     params: &RefineParams,
     report: &mut dyn FnMut(f64, &str),
 ) -> StageResult<Refinement> {
+    refine_updates(inputs, network, params, report, &mut |_, _| {})
+}
+
+/// As [`refine`]; `updated` hears the number of every update that was made and how long it took.
+///
+/// # Errors
+/// As [`refine`].
+pub fn refine_updates(
+    inputs: ClipInputs<'_>,
+    network: &LoadedRefiner,
+    params: &RefineParams,
+    report: &mut dyn FnMut(f64, &str),
+    updated: &mut dyn FnMut(u32, Duration),
+) -> StageResult<Refinement> {
     let (_, updates) = params.resolve()?;
     report(0.0, "features of the observed images");
     let times = source_times(inputs.clip, inputs.robot, inputs.field, &network.refiner)?;
@@ -64,6 +80,7 @@ pub fn refine(
     let total = f64::from(updates - recurrence.update) * times.len() as f64;
     let mut done = 0.0;
     while recurrence.update < updates {
+        let start = Instant::now();
         let before = recurrence.correction.clone();
         let stored = step(recurrence.update, &before);
         let corrected = TimedField::new(inputs.field)
@@ -85,6 +102,7 @@ pub fn refine(
         if params.keep_intermediate && recurrence.update < updates {
             recurrence.steps.push(step(recurrence.update, &recurrence.correction));
         }
+        updated(recurrence.update, start.elapsed());
     }
     Ok(record(&inputs, network, params, &times, recurrence))
 }

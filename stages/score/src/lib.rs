@@ -3,7 +3,7 @@
 //! [`metrics`] holds the measures as functions of arrays, [`measure`] applies them to the predictions of a clip, and
 //! [`Score`] is the stage that renders those predictions from a field. Nothing in the measures depends on how the
 //! predictions were made, so that outside methods are scored by the same code.
-
+//!
 //! [`summary`] and [`tables`] turn score sheets into the paper's tables; [`cohort`] selects the
 //! episodes, [`folders`] scores images without a manifest, [`outside`] evaluates the fields of other methods.
 
@@ -13,6 +13,7 @@ pub mod measure;
 pub mod metrics;
 pub mod outside;
 mod perceptual;
+pub mod pictures;
 mod render;
 mod stage;
 pub mod summary;

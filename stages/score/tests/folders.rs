@@ -3,6 +3,7 @@
 use image::{Rgb, RgbImage};
 use rogs_score::folders::{FolderError, score_paths};
 use rogs_score::metrics::{Pixels, RgbView, SsimVariant, psnr, ssim};
+use rogs_score::pictures::PictureError;
 
 fn picture(seed: u32) -> RgbImage {
     RgbImage::from_fn(32, 24, |x, y| {
@@ -39,7 +40,7 @@ fn two_files_and_two_folders_give_the_scores_of_their_pixels() {
     );
     assert_eq!((scores.lpips, scores.lpips_note.is_some()), (None, true));
 
-    let distance = |_: &[u8], _: &[u8], height: usize, width: usize| Some((height * width) as f64);
+    let distance = |own: &RgbView<'_>, _: &RgbView<'_>| Some((own.height() * own.width()) as f64);
     let one = score_paths(&own.join("a.png"), &other.join("a.png"), variant, Some(&distance)).unwrap();
     assert_eq!((one.psnr, one.lpips), (scores.psnr, Some(768.0)));
 }
@@ -69,10 +70,138 @@ fn what_cannot_be_scored_is_explained() {
     std::fs::write(other.join("a.png"), b"nonsense").unwrap();
     assert!(matches!(
         score_paths(&own, &other, variant, None),
-        Err(FolderError::Image { .. })
+        Err(FolderError::Picture(PictureError::Image { .. }))
     ));
     let small = folder.path().join("small.png");
     RgbImage::new(8, 8).save(&small).unwrap();
     let scores = score_paths(&small, &small, variant, None).unwrap();
     assert_eq!((scores.psnr, scores.ssim), (Some(100.0), None));
+}
+
+/// A depth map as an OpenEXR file with one channel.
+fn write_depth(path: &std::path::Path, width: usize, height: usize, channel: &str, values: Vec<f32>) {
+    use exr::prelude::*;
+    let channel = AnyChannel::new(channel, FlatSamples::F32(values));
+    let channels = AnyChannels::sort(std::iter::once(channel).collect());
+    let attributes = LayerAttributes::default();
+    let layer = Layer::new((width, height), attributes, Encoding::UNCOMPRESSED, channels);
+    Image::from_layer(layer).write().to_file(path).unwrap();
+}
+
+fn write_colours(path: &std::path::Path, width: usize, height: usize, value: impl Fn(usize, usize) -> f32 + Sync) {
+    let pixel = |x, y| (value(x, y), value(x, y), value(x, y));
+    exr::prelude::write_rgb_file(path, width, height, pixel).unwrap();
+}
+
+#[test]
+fn depth_files_have_depth_errors_where_the_reference_lies_in_range() {
+    let folder = tempfile::tempdir().unwrap();
+    let [own, other] = ["own.exr", "other.exr"].map(|name| folder.path().join(name));
+    write_depth(&own, 3, 2, "Z", vec![1.1, 2.0, f32::NAN, 9.0, 9.0, 9.0]);
+    write_depth(&other, 3, 2, "Z", vec![1.0, 2.0, 4.0, 0.1, 5.0, f32::NAN]);
+    let scores = score_paths(&own, &other, SsimVariant::default(), None).unwrap();
+    let pair = &scores.pairs[0];
+    assert_eq!((pair.psnr, pair.support_n, scores.n.depth), (None, Some(3), 1));
+    assert!((scores.absrel.unwrap() - (0.1 + 0.0 + 1.0) / 3.0).abs() < 1e-6);
+    assert!((scores.delta1.unwrap() - 2.0 / 3.0).abs() < 1e-12);
+    assert!(pair.notes[0].contains("1 values of the prediction"), "{:?}", pair.notes);
+
+    // Millimetres, say: nothing lies in range.
+    write_depth(&other, 3, 2, "Z", vec![1000.0; 6]);
+    let scores = score_paths(&own, &other, SsimVariant::default(), None).unwrap();
+    assert_eq!((scores.absrel, scores.n.depth), (None, 0));
+    assert!(scores.pairs[0].notes.iter().any(|note| note.contains("metres")));
+
+    write_depth(&other, 2, 3, "Z", vec![1.0; 6]);
+    let error = score_paths(&own, &other, SsimVariant::default(), None).unwrap_err();
+    assert!(matches!(error, FolderError::Pair { .. }), "{error}");
+    write_colours(&other, 3, 2, |_, _| 0.5);
+    let error = score_paths(&own, &other, SsimVariant::default(), None).unwrap_err();
+    assert!(
+        error.to_string().contains("holds depth, the reference colours"),
+        "{error}"
+    );
+}
+
+#[test]
+fn floats_keep_their_precision_and_say_what_is_clipped() {
+    let folder = tempfile::tempdir().unwrap();
+    let [own, other] = ["own.exr", "other.exr"].map(|name| folder.path().join(name));
+    let ramp = |x: usize, y: usize| (x + y) as f32 / 100.0;
+    write_colours(&own, 24, 20, |x, y| {
+        if (x, y) == (3, 4) { f32::NAN } else { ramp(x, y) + 0.001 }
+    });
+    write_colours(&other, 24, 20, ramp);
+    let scores = score_paths(&own, &other, SsimVariant::default(), None).unwrap();
+    let expected = 0.001f64.powi(2) * 479.0 / 480.0 + f64::from(ramp(3, 4)).powi(2) / 480.0;
+    assert!((scores.psnr.unwrap() + 10.0 * expected.log10()).abs() < 1e-3);
+    assert!(scores.pairs[0].notes[0].contains("3 values of the prediction"));
+    let error = score_paths(&other, &own, SsimVariant::default(), None).unwrap_err();
+    assert!(
+        error.to_string().contains("of the reference are no finite numbers"),
+        "{error}"
+    );
+    write_colours(&own, 24, 20, |x, y| 255.0 * ramp(x, y));
+    let scores = score_paths(&own, &other, SsimVariant::default(), None).unwrap();
+    assert!(scores.pairs[0].notes[0].contains("floats are colours in 0 to 1"));
+}
+
+#[test]
+fn arrays_are_compared_by_name_and_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, arrays: &[(&str, Vec<usize>, f32)]| {
+        let bytes: Vec<(&str, Vec<usize>, Vec<u8>)> = (arrays.iter())
+            .map(|(name, shape, value)| {
+                let count = shape.iter().product();
+                (*name, shape.clone(), vec![value.to_le_bytes(); count].concat())
+            })
+            .collect();
+        let views = bytes.iter().map(|(name, shape, bytes)| {
+            let view = safetensors::tensor::TensorView::new(safetensors::Dtype::F32, shape.clone(), bytes).unwrap();
+            (*name, view)
+        });
+        let path = folder.path().join(name);
+        std::fs::write(&path, safetensors::serialize(views, None).unwrap()).unwrap();
+        path
+    };
+    let frames = ("frames", vec![2], 1.0);
+    let own = write(
+        "own.safetensors",
+        &[
+            frames.clone(),
+            ("rgb_wrist", vec![2, 12, 14, 3], 0.5),
+            ("depth_wrist", vec![2, 12, 14], 1.1),
+        ],
+    );
+    let other = write(
+        "other.safetensors",
+        &[
+            frames.clone(),
+            ("rgb_wrist", vec![1, 12, 14, 3], 0.4),
+            ("depth_wrist", vec![2, 12, 14], 1.0),
+        ],
+    );
+    let scores = score_paths(&own, &other, SsimVariant::default(), None).unwrap();
+    let names: Vec<&str> = scores
+        .pairs
+        .iter()
+        .filter_map(|pair| pair.name.rsplit(':').next())
+        .collect();
+    assert_eq!(names, ["depth_wrist[0]", "depth_wrist[1]", "rgb_wrist[0]"]);
+    assert!((scores.psnr.unwrap() - 20.0).abs() < 1e-4 && (scores.absrel.unwrap() - 0.1).abs() < 1e-6);
+    assert_eq!((scores.n.psnr, scores.n.depth, scores.n.lpips), (1, 2, 0));
+    assert!(scores.only_in_prediction[0].ends_with(":rgb_wrist[1]"));
+
+    let lists = write("lists.safetensors", &[frames]);
+    let error = score_paths(&lists, &other, SsimVariant::default(), None).unwrap_err();
+    assert!(
+        error.to_string().contains("no array of images; it has: frames"),
+        "{error}"
+    );
+    let strange = write("strange.safetensors", &[("rgb", vec![2, 2, 2, 2], 0.0)]);
+    let error = score_paths(&strange, &other, SsimVariant::default(), None).unwrap_err();
+    assert!(error.to_string().contains("[2, 2, 2, 2]"), "{error}");
+    let missing = folder.path().join("missing.png");
+    let error = score_paths(&own, &missing, SsimVariant::default(), None).unwrap_err();
+    assert!(matches!(error, FolderError::Nothing { .. }), "{error}");
 }

@@ -230,14 +230,72 @@ fn every_table_prints_in_every_format() {
         assert_eq!(json["id"], id.name());
         let csv = to_csv(&full);
         assert_eq!(csv.lines().count(), full.rows.len() + 1);
-        let latex = to_latex(&full);
-        assert_eq!(latex.matches('{').count(), latex.matches('}').count());
+        check_latex(&to_latex(&full), full.columns.len() + usize::from(full.counted), id);
         // Nothing at all still gives a table.
         let empty = table(id, &TableInput::default(), TableOptions::default()).unwrap();
         assert!(!to_text(&empty).contains("NaN") && !to_latex(&empty).is_empty() && !to_csv(&empty).is_empty());
         for cell in empty.rows.iter().flat_map(|row| &row.cells) {
             assert!(matches!(cell, Cell::Missing | Cell::Text(_)), "{id}: {cell:?}");
         }
+        // The columns of a spreadsheet do not depend on what was asked for or found.
+        let header = |table: &Table| to_csv(table).lines().next().unwrap().to_owned();
+        let plain = make(id, &sheets, &timings, TableOptions::default());
+        assert_eq!(header(&full), header(&plain));
+        assert_eq!(header(&full), header(&empty));
+        for line in csv.lines() {
+            assert_eq!(csv_fields(line), 4 + 5 * full.columns.len(), "{id}: {line}");
+        }
+    }
+}
+
+/// Fields of a line with quoted ones.
+fn csv_fields(line: &str) -> usize {
+    let mut quoted = false;
+    let commas = line.chars().filter(|&c| {
+        quoted ^= c == '"';
+        c == ',' && !quoted
+    });
+    1 + commas.count()
+}
+
+/// What a LaTeX run would stop at: unbalanced braces and environments, rows with another number of cells than columns,
+/// specials that are not escaped, characters that need a package.
+fn check_latex(latex: &str, columns: usize, id: TableId) {
+    assert!(latex.is_ascii(), "{id}");
+    let mut depth = 0;
+    let mut before = ' ';
+    for c in latex.chars() {
+        depth += match c {
+            '{' if before != '\\' => 1,
+            '}' if before != '\\' => -1,
+            _ => 0,
+        };
+        assert!(depth >= 0, "{id}");
+        assert!(!matches!(c, '#' | '%' | '_') || before == '\\', "{id}: {before}{c}");
+        before = c;
+    }
+    assert_eq!((depth, latex.matches('$').count() % 2), (0, 0), "{id}");
+    let places: Vec<usize> = [
+        "\\begin{table}",
+        "\\begin{tabular}",
+        "\\toprule",
+        "\\midrule",
+        "\\bottomrule",
+        "\\end{tabular}",
+        "\\end{table}",
+    ]
+    .iter()
+    .map(|part| latex.find(part).unwrap_or_else(|| panic!("{id}: {part}")))
+    .collect();
+    assert!(places.is_sorted(), "{id}");
+    let body = &latex[places[2] + "\\toprule".len()..places[4]];
+    for row in body.lines().filter_map(|line| line.strip_suffix(" \\\\")) {
+        let cells = row.replace("\\&", "").matches('&').count() + 1;
+        assert!(cells == columns + 1 || row.starts_with("\\multicolumn"), "{id}: {row}");
+        assert!(
+            !row.starts_with('['),
+            "{id}: an argument of the line break before: {row}"
+        );
     }
 }
 

@@ -5,18 +5,21 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use rogs_networks::lpips::Lpips;
-use rogs_score::folders::score_paths;
-use rogs_score::metrics::SsimVariant;
+use rogs_score::folders::{PairScores, score_paths};
+use rogs_score::metrics::{Pixels, RgbView, SsimVariant};
 
 use crate::output;
 
-/// PSNR, SSIM and (with weights) LPIPS of a prediction against a reference: two image files, or two folders matched by
-/// file name.
+/// Scores images or depth maps without any manifest: two files, or two folders matched by file name.
+///
+/// Colours get PSNR, SSIM and, with weights, LPIPS; depth in metres gets AbsRel, RMSE and delta1 where the reference lies
+/// between 0.1 and 5 m. Files are PNG or JPEG (colours), OpenEXR (channels R, G, B: colours in 0 to 1; Z: depth), npz or
+/// safetensors (arrays [H, W, 3] or [T, H, W, 3]: colours, 8 bit or floats in 0 to 1; [H, W] or [T, H, W]: depth).
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Prediction: a PNG or JPEG file, or a folder of them.
+    /// Prediction: a file, or a folder of files.
     prediction: PathBuf,
-    /// Reference.
+    /// Reference: the same.
     reference: PathBuf,
     /// SSIM variant: skimage-sample-cov (the default of the paper's evaluation code), skimage or torchmetrics.
     #[arg(long, default_value = "skimage-sample-cov", value_parser = variant)]
@@ -44,10 +47,18 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         Some(path) => Some(Lpips::open(path)?),
         None => None,
     };
-    let distance = |prediction: &[u8], reference: &[u8], height: usize, width: usize| -> Option<f64> {
+    let features = |lpips: &Lpips, view: &RgbView<'_>| {
+        let (height, width) = (view.height(), view.width());
+        match view.pixels() {
+            Pixels::Bytes(rgb) => lpips.features_of_bytes(rgb, height, width).ok(),
+            Pixels::Unit(rgb) => lpips.features(rgb, height, width).ok(),
+        }
+    };
+    let distance = |prediction: &RgbView<'_>, reference: &RgbView<'_>| -> Option<f64> {
         let lpips = lpips.as_ref()?;
-        let features = |rgb: &[u8]| lpips.features_of_bytes(rgb, height, width).ok();
-        lpips.distance(&features(prediction)?, &features(reference)?).ok()
+        lpips
+            .distance(&features(lpips, prediction)?, &features(lpips, reference)?)
+            .ok()
     };
     let distance: Option<rogs_score::folders::Distance<'_>> = if lpips.is_some() { Some(&distance) } else { None };
     let scores = score_paths(&args.prediction, &args.reference, args.ssim, distance)?;
@@ -57,28 +68,51 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     }
     let number =
         |value: Option<f64>, digits: usize| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"));
-    let mut text = format!("{:<40} {:>9} {:>8} {:>8}\n", "image", "PSNR", "SSIM", "LPIPS");
+    let columns: [(&str, usize, fn(&PairScores) -> Option<f64>, Option<f64>, usize); 6] = [
+        ("PSNR", 3, |pair| pair.psnr, scores.psnr, scores.n.psnr),
+        ("SSIM", 4, |pair| pair.ssim, scores.ssim, scores.n.ssim),
+        ("LPIPS", 4, |pair| pair.lpips, scores.lpips, scores.n.lpips),
+        ("AbsRel", 4, |pair| pair.absrel, scores.absrel, scores.n.depth),
+        ("RMSE m", 4, |pair| pair.rmse_m, scores.rmse_m, scores.n.depth),
+        ("delta1", 4, |pair| pair.delta1, scores.delta1, scores.n.depth),
+    ];
+    // Colours alone need no columns of depth, and the other way round.
+    let colours = scores.pairs.iter().any(|pair| pair.psnr.is_some());
+    let depth = scores.pairs.iter().any(|pair| pair.support_n.is_some());
+    let shown: Vec<_> = (columns.iter().enumerate())
+        .filter(|(index, _)| if *index < 3 { colours } else { depth })
+        .map(|(_, column)| column)
+        .collect();
+    let mut text = format!("{:<40}", "image");
+    for (name, ..) in &shown {
+        let _ = write!(text, " {name:>9}");
+    }
     for pair in &scores.pairs {
-        let _ = writeln!(
-            text,
-            "{:<40} {:>9.3} {:>8} {:>8}",
-            pair.name,
-            pair.psnr,
-            number(pair.ssim, 4),
-            number(pair.lpips, 4)
-        );
+        let _ = write!(text, "\n{:<40}", pair.name);
+        for (_, digits, value, ..) in &shown {
+            let _ = write!(text, " {:>9}", number(value(pair), *digits));
+        }
     }
     if scores.pairs.len() > 1 {
-        let _ = writeln!(
-            text,
-            "{:<40} {:>9} {:>8} {:>8}",
-            "mean",
-            number(scores.psnr, 3),
-            number(scores.ssim, 4),
-            number(scores.lpips, 4)
-        );
+        let _ = write!(text, "\n{:<40}", "mean");
+        for (_, digits, _, mean, _) in &shown {
+            let _ = write!(text, " {:>9}", number(*mean, *digits));
+        }
+        let _ = write!(text, "\n{:<40}", "pairs with a value");
+        for (.., count) in &shown {
+            let _ = write!(text, " {count:>9}");
+        }
     }
-    if let Some(note) = &scores.lpips_note {
+    text.push('\n');
+    for pair in &scores.pairs {
+        for note in &pair.notes {
+            let _ = writeln!(text, "{}: {note}", pair.name);
+        }
+    }
+    if colours {
+        let _ = writeln!(text, "SSIM variant: {}", scores.ssim_variant);
+    }
+    if let Some(note) = scores.lpips_note.as_ref().filter(|_| colours) {
         let _ = writeln!(text, "LPIPS: {note}");
     }
     for (names, side) in [

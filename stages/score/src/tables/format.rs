@@ -54,23 +54,15 @@ pub fn to_text(table: &Table) -> String {
     text
 }
 
-/// A table for a spreadsheet: full precision, empty cells for missing values, one column of clips beside every mean.
+/// A table for a spreadsheet: full precision, empty cells for missing values. Every column of the table has five: the
+/// mean, the clips it is over, the ends of its interval and the paper's value; what was not asked for is empty, so that
+/// the columns of a table are always the same.
 #[must_use]
 pub fn to_csv(table: &Table) -> String {
-    let mut header = vec![
-        "setting".to_owned(),
-        "label".to_owned(),
-        "method".to_owned(),
-        "n".to_owned(),
-    ];
+    let mut header = ["setting", "label", "method", "n"].map(str::to_owned).to_vec();
     for Column { name, .. } in &table.columns {
-        header.extend([name.clone(), format!("{name} n")]);
-        if has_intervals(table) {
-            header.extend([format!("{name} low"), format!("{name} high")]);
-        }
-        if has_published(table) {
-            header.push(format!("{name} published"));
-        }
+        header.push(name.clone());
+        header.extend(["n", "low", "high", "published"].map(|part| format!("{name} {part}")));
     }
     let mut text = csv_line(&header);
     for row in &table.rows {
@@ -89,14 +81,9 @@ pub fn to_csv(table: &Table) -> String {
                     value, clips, interval, ..
                 } => (value.to_string(), clips.to_string(), *interval),
             };
-            cells.extend([value, clips]);
-            if has_intervals(table) {
-                let [low, high] = interval.map_or_else(Default::default, |ends| ends.map(|end| end.to_string()));
-                cells.extend([low, high]);
-            }
-            if has_published(table) {
-                cells.push(row.published.get(index).cloned().unwrap_or_default());
-            }
+            let [low, high] = interval.map_or_else(Default::default, |ends| ends.map(|end| end.to_string()));
+            let published = row.published.get(index).cloned().unwrap_or_default();
+            cells.extend([value, clips, low, high, published]);
         }
         text.push_str(&csv_line(&cells));
     }
@@ -112,7 +99,7 @@ pub fn to_latex(table: &Table) -> String {
         "\\begin{{table}}[t]\n\\centering\n\\caption{{{}.}}\n",
         escape(&table.title)
     );
-    let _ = writeln!(text, "\\label{{tab:{}}}", table.id);
+    let _ = writeln!(text, "\\label{{tab:{}}}", table.id.name().replace('_', "-"));
     let _ = writeln!(text, "\\begin{{tabular}}{{@{{}}l{columns}@{{}}}}\n\\toprule");
     let mut header: Vec<String> = grid.header.iter().map(|cell| escape(cell)).collect();
     for (cell, column) in header.iter_mut().skip(1).zip(&table.columns) {
@@ -138,8 +125,8 @@ pub fn to_latex(table: &Table) -> String {
             let bold = index > 0 && row.source.is_some_and(|own| is_best(table, own, index - 1));
             match (cell.as_str(), bold) {
                 ("-", _) => "\\textemdash".to_owned(),
-                (text, true) => format!("\\textbf{{{}}}", escape(text)),
-                (text, false) => escape(text),
+                (text, true) => format!("\\textbf{{{}}}", number_text(text, index)),
+                (text, false) => number_text(text, index),
             }
         };
         let cells: Vec<String> = row.cells.iter().enumerate().map(print).collect();
@@ -233,15 +220,6 @@ fn is_best(table: &Table, row: &Row, column: usize) -> bool {
     others.len() > 1 && others.iter().all(beats)
 }
 
-fn has_intervals(table: &Table) -> bool {
-    let interval = |cell: &Cell| matches!(cell, Cell::Mean { interval: Some(_), .. });
-    table.rows.iter().any(|row| row.cells.iter().any(interval))
-}
-
-fn has_published(table: &Table) -> bool {
-    table.rows.iter().any(|row| !row.published.is_empty())
-}
-
 fn csv_line(cells: &[String]) -> String {
     let quoted: Vec<String> = cells
         .iter()
@@ -255,6 +233,19 @@ fn csv_line(cells: &[String]) -> String {
         })
         .collect();
     quoted.join(",") + "\n"
+}
+
+/// A cell in LaTeX: the minus signs of numbers (columns after the first) are minus signs.
+fn number_text(text: &str, column: usize) -> String {
+    let escaped = escape(text);
+    let number = column > 0 && text.contains(|c: char| c.is_ascii_digit());
+    if number && (text.starts_with('-') || text.contains("[-") || text.contains(", -")) {
+        let inner = escaped.replace("[-", "[$-$").replace(", -", ", $-$");
+        return inner
+            .strip_prefix('-')
+            .map_or(inner.clone(), |rest| format!("$-${rest}"));
+    }
+    escaped
 }
 
 fn escape(text: &str) -> String {
@@ -284,6 +275,14 @@ mod tests {
     fn csv_cells_are_quoted_when_they_must_be() {
         let cells = ["a", "b,c", "d\"e", ""].map(str::to_owned);
         assert_eq!(csv_line(&cells), "a,\"b,c\",\"d\"\"e\",\n");
+    }
+
+    #[test]
+    fn negative_numbers_have_a_minus_sign_in_latex() {
+        assert_eq!(number_text("-0.004 [-0.1, -0.01]", 1), "$-$0.004 [$-$0.1, $-$0.01]");
+        assert_eq!(number_text("+0.01", 1), "+0.01");
+        assert_eq!(number_text("scale-only", 1), "scale-only");
+        assert_eq!(number_text("-x 2", 0), "-x 2");
     }
 
     #[test]

@@ -1,0 +1,319 @@
+//! Reading images and depth maps from files that belong to no manifest: PNG, JPEG, OpenEXR, numpy's `.npz` and
+//! safetensors.
+
+use std::fs::File;
+use std::io::{BufReader, Seek as _};
+use std::path::{Path, PathBuf};
+
+use exr::meta::header::Header;
+use exr::meta::{BlockDescription, MetaData};
+use exr::prelude::{FlatSamples, ReadChannels as _, ReadLayers as _, read};
+
+use crate::metrics::Pixels;
+use crate::outside::{Array, ArrayFile, Values};
+
+/// Extensions of the files that are read.
+pub const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "exr", "npz", "safetensors"];
+/// Largest image side that is read, pixels.
+const MAX_SIDE: usize = 1 << 15;
+/// Most memory that one decoded image may take, and the longest OpenEXR file, bytes.
+const MAX_IMAGE_BYTES: u64 = 1 << 30;
+/// Most channels of an OpenEXR image; all of a file's are decoded.
+const MAX_CHANNELS: usize = 16;
+/// Largest side of an OpenEXR tile, pixels.
+const MAX_TILE: usize = 8192;
+
+/// What a file holds for one comparison.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Picture {
+    /// Which of several in a file: the array's name and, with several times, the index. Empty for an image file.
+    pub name: String,
+    /// Rows.
+    pub height: usize,
+    /// Columns.
+    pub width: usize,
+    /// Its values.
+    pub content: Content,
+}
+
+/// Values of a picture.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Content {
+    /// 8-bit colours. `[H, W, 3]`
+    Bytes(Vec<u8>),
+    /// Colours meant to lie in [0, 1]. `[H, W, 3]`
+    Unit(Vec<f32>),
+    /// Depth, metres. `[H, W]`
+    Depth(Vec<f32>),
+}
+
+impl Content {
+    /// The colours; none for depth.
+    #[must_use]
+    pub fn pixels(&self) -> Option<Pixels<'_>> {
+        match self {
+            Self::Bytes(values) => Some(Pixels::Bytes(values)),
+            Self::Unit(values) => Some(Pixels::Unit(values)),
+            Self::Depth(_) => None,
+        }
+    }
+}
+
+/// Why a file cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PictureError {
+    /// The file cannot be read.
+    #[error("reading `{}`", path.display())]
+    Read {
+        /// The file or folder.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A file is no image that can be read.
+    #[error("`{}` is no readable image", path.display())]
+    Image {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: image::ImageError,
+    },
+    /// A file holds something else than images.
+    #[error("`{}`: {what}", path.display())]
+    Wrong {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        what: String,
+    },
+}
+
+impl PictureError {
+    fn wrong(path: &Path, what: impl Into<String>) -> Self {
+        Self::Wrong {
+            path: path.to_owned(),
+            what: what.into(),
+        }
+    }
+}
+
+/// Reads all pictures of a file, in the order of their names.
+///
+/// PNG and JPEG files hold colours (16-bit ones keep their precision, an alpha channel is not looked at). OpenEXR files
+/// hold colours (channels R, G and B, taken as they are) or depth in metres (channel Z, or the only one). In `.npz` and
+/// `.safetensors` files every array is taken: `[H, W, 3]` and `[T, H, W, 3]` are colours, `[H, W]` and `[T, H, W]` depth
+/// in metres, and an array called `depth...` is depth in any case; lists of numbers are passed over.
+///
+/// # Errors
+/// When the file cannot be read or holds something else.
+pub fn read_pictures(path: &Path) -> Result<Vec<Picture>, PictureError> {
+    match extension(path).as_str() {
+        "exr" => Ok(vec![read_exr(path)?]),
+        "npz" | "safetensors" => read_arrays(path),
+        "png" | "jpg" | "jpeg" => Ok(vec![read_image(path)?]),
+        other => Err(PictureError::wrong(
+            path,
+            format!("files `.{other}` are not read; {} are", EXTENSIONS.join(", ")),
+        )),
+    }
+}
+
+/// The extension in lower case.
+pub(crate) fn extension(path: &Path) -> String {
+    let own = path.extension().and_then(|own| own.to_str());
+    own.unwrap_or_default().to_ascii_lowercase()
+}
+
+fn read_image(path: &Path) -> Result<Picture, PictureError> {
+    let read = |source| PictureError::Read {
+        path: path.to_owned(),
+        source,
+    };
+    let mut reader = image::ImageReader::open(path)
+        .map_err(read)?
+        .with_guessed_format()
+        .map_err(read)?;
+    let mut limits = image::Limits::default();
+    limits.max_image_width = Some(MAX_SIDE as u32);
+    limits.max_image_height = Some(MAX_SIDE as u32);
+    limits.max_alloc = Some(MAX_IMAGE_BYTES);
+    reader.limits(limits);
+    let image = reader.decode().map_err(|source| PictureError::Image {
+        path: path.to_owned(),
+        source,
+    })?;
+    let (height, width) = (image.height() as usize, image.width() as usize);
+    let channels = usize::from(image.color().channel_count()).max(1);
+    let content = if usize::from(image.color().bytes_per_pixel()) == channels {
+        Content::Bytes(image.into_rgb8().into_raw())
+    } else {
+        Content::Unit(image.into_rgb32f().into_raw())
+    };
+    Ok(Picture {
+        name: String::new(),
+        height,
+        width,
+        content,
+    })
+}
+
+fn read_exr(path: &Path) -> Result<Picture, PictureError> {
+    let io = |source| PictureError::Read {
+        path: path.to_owned(),
+        source,
+    };
+    let bad = |error: exr::error::Error| PictureError::wrong(path, format!("not a readable OpenEXR image: {error}"));
+    let mut file = File::open(path).map_err(io)?;
+    if file.metadata().map_err(io)?.len() > MAX_IMAGE_BYTES {
+        return Err(PictureError::wrong(path, "the file is larger than 1 GiB"));
+    }
+    // The header is checked before anything is allocated for the pixels it announces.
+    let meta = MetaData::read_from_buffered(BufReader::new(&mut file), true).map_err(bad)?;
+    let [header] = meta.headers.as_slice() else {
+        let what = format!("it has {} parts, expected one", meta.headers.len());
+        return Err(PictureError::wrong(path, what));
+    };
+    let chosen = channels(header).map_err(|what| PictureError::wrong(path, what))?;
+    let (width, height) = (header.layer_size.0, header.layer_size.1);
+    file.rewind().map_err(io)?;
+    let image = read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .first_valid_layer()
+        .all_attributes()
+        .non_parallel()
+        .from_buffered(BufReader::new(file))
+        .map_err(bad)?;
+    let samples = image.layer_data.channel_data.list;
+    let mut planes = Vec::with_capacity(chosen.len());
+    for &channel in &chosen {
+        let values: Vec<f32> = match samples.get(channel).map(|channel| &channel.sample_data) {
+            Some(FlatSamples::F32(values)) => values.clone(),
+            Some(FlatSamples::F16(values)) => values.iter().map(|value| value.to_f32()).collect(),
+            _ => return Err(PictureError::wrong(path, "its channels must be floating point")),
+        };
+        if values.len() != height * width {
+            return Err(PictureError::wrong(
+                path,
+                "its channels have another size than the image",
+            ));
+        }
+        planes.push(values);
+    }
+    let content = match <[Vec<f32>; 3]>::try_from(planes) {
+        Ok([r, g, b]) => {
+            let pixels = r.iter().zip(&g).zip(&b);
+            Content::Unit(pixels.flat_map(|((r, g), b)| [*r, *g, *b]).collect())
+        }
+        Err(planes) => Content::Depth(planes.into_iter().flatten().collect()),
+    };
+    Ok(Picture {
+        name: String::new(),
+        height,
+        width,
+        content,
+    })
+}
+
+/// Positions of the channels R, G and B, or of the one that is depth; or what is wrong with the header.
+fn channels(header: &Header) -> Result<Vec<usize>, String> {
+    if header.deep {
+        return Err("deep images have several values a pixel; save a flat image".into());
+    }
+    let (width, height) = (header.layer_size.0, header.layer_size.1);
+    let list = &header.channels.list;
+    if width > MAX_SIDE || height > MAX_SIDE || list.len() > MAX_CHANNELS {
+        return Err(format!(
+            "it is {height}x{width} pixels of {} channels; at most {MAX_SIDE} a side and {MAX_CHANNELS} are read",
+            list.len()
+        ));
+    }
+    if (width * height * list.len()) as u64 > MAX_IMAGE_BYTES / 4 {
+        return Err("its pixels take more than 1 GiB".into());
+    }
+    if let BlockDescription::Tiles(tiles) = header.blocks
+        && (tiles.tile_size.0 > MAX_TILE || tiles.tile_size.1 > MAX_TILE)
+    {
+        return Err(format!("its tiles are {}x{}", tiles.tile_size.0, tiles.tile_size.1));
+    }
+    if list
+        .iter()
+        .any(|channel| (channel.sampling.0, channel.sampling.1) != (1, 1))
+    {
+        return Err("channels are subsampled; save every pixel".into());
+    }
+    let names: Vec<String> = list.iter().map(|channel| channel.name.to_string()).collect();
+    let place = |name: &str| names.iter().position(|own| own == name);
+    match (place("R"), place("G"), place("B"), place("Z"), names.len()) {
+        (Some(r), Some(g), Some(b), _, _) => Ok(vec![r, g, b]),
+        (_, _, _, Some(z), _) => Ok(vec![z]),
+        (_, _, _, _, 1) => Ok(vec![0]),
+        _ => Err(format!(
+            "its channels are {}; colours need R, G and B, depth needs Z",
+            names.join(", ")
+        )),
+    }
+}
+
+fn read_arrays(path: &Path) -> Result<Vec<Picture>, PictureError> {
+    let wrong = |error: &dyn std::fmt::Display| PictureError::wrong(path, error.to_string());
+    // Messages of the reader begin with the path already.
+    let read = |error: crate::outside::OutsideError| match error {
+        crate::outside::OutsideError::File { what, .. } => PictureError::wrong(path, what),
+        other => wrong(&other),
+    };
+    let file = ArrayFile::open(path).map_err(read)?;
+    let mut pictures = Vec::new();
+    for name in file.names() {
+        let array = file.need(&[&name]).map_err(read)?;
+        if array.shape.len() > 1 {
+            pictures.extend(split(array).map_err(|what| wrong(&what))?);
+        }
+    }
+    if pictures.is_empty() {
+        let what = format!("it has no array of images; it has: {}", file.names().join(", "));
+        return Err(PictureError::wrong(path, what));
+    }
+    Ok(pictures)
+}
+
+/// The pictures of one array.
+fn split(array: Array) -> Result<Vec<Picture>, String> {
+    let named_depth = array.name.starts_with("depth");
+    let (times, height, width, colours) = match *array.shape.as_slice() {
+        [height, width, 3] if !named_depth => (None, height, width, true),
+        [times, height, width, 3] if !named_depth => (Some(times), height, width, true),
+        [height, width] => (None, height, width, false),
+        [times, height, width] => (Some(times), height, width, false),
+        _ => {
+            return Err(format!(
+                "array `{}` has shape {:?}; colours are [H, W, 3] or [T, H, W, 3], depth is [H, W] or [T, H, W]",
+                array.name, array.shape
+            ));
+        }
+    };
+    let Array { name, values, .. } = array;
+    let size = height * width * if colours { 3 } else { 1 };
+    if size == 0 {
+        return Err(format!("array `{name}` is empty"));
+    }
+    let contents: Vec<Content> = match values {
+        Values::Bytes(values) if colours => {
+            (values.chunks_exact(size).map(|part| Content::Bytes(part.to_vec()))).collect()
+        }
+        Values::Bytes(_) => return Err(format!("array `{name}` holds bytes; depth is metres as floats")),
+        Values::Floats(values) => {
+            let kind = if colours { Content::Unit } else { Content::Depth };
+            values.chunks_exact(size).map(|part| kind(part.to_vec())).collect()
+        }
+    };
+    let picture = |(index, content)| Picture {
+        name: times.map_or_else(|| name.clone(), |_| format!("{name}[{index}]")),
+        height,
+        width,
+        content,
+    };
+    Ok(contents.into_iter().enumerate().map(picture).collect())
+}
