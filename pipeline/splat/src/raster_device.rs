@@ -27,7 +27,7 @@ pub enum RasterTape {
     Cpu(Vec<Tape>),
     /// All views.
     #[cfg(feature = "gpu")]
-    Gpu(GpuTape),
+    Gpu(Box<GpuTape>),
 }
 
 /// The contribution matrix of a render on any device.
@@ -36,7 +36,7 @@ pub enum RasterContributions {
     Cpu(Contributions),
     /// In the memory of a graphics processor.
     #[cfg(feature = "gpu")]
-    Gpu(GpuContributions),
+    Gpu(Box<GpuContributions>),
 }
 
 impl RasterDevice {
@@ -106,7 +106,7 @@ impl RasterDevice {
             Self::Gpu(device) => {
                 let scene = GpuScene::upload(device, gaussians)?;
                 let (renders, tape) = gpu::render_views_with_tape(&scene, cameras, config)?;
-                Ok((renders, RasterTape::Gpu(tape)))
+                Ok((renders, RasterTape::Gpu(Box::new(tape))))
             }
         }
     }
@@ -151,7 +151,7 @@ impl RasterDevice {
             Self::Gpu(device) => {
                 let scene = GpuScene::upload(device, gaussians)?;
                 let (renders, sums) = gpu::render_views_with_contributions(&scene, cameras, config, eligible)?;
-                Ok((renders, RasterContributions::Gpu(sums)))
+                Ok((renders, RasterContributions::Gpu(Box::new(sums))))
             }
         }
     }

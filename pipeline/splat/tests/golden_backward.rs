@@ -35,7 +35,7 @@ fn gradients_match_automatic_differentiation() {
                 assert!(d < 1e-5, "{} background: {d}", golden.name);
             }
         }
-        let tolerance = if golden.stress { 2e-4 } else { 2e-5 };
+        let tolerance = if golden.stress { 1e-4 } else { 2e-5 };
         let colour = if golden.has("grad.sh") { "grad.sh" } else { "grad.rgb" };
         for (name, ours) in [
             ("grad.means", &gradients.means),

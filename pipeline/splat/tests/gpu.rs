@@ -62,9 +62,13 @@ fn assert_close(ours: &Render, reference: &Render, loose: usize, what: &str) {
     for (name, a, b, per) in planes {
         assert_eq!(a.len(), b.len(), "{what}: {name}");
         let mut far = 0;
+        let mut farthest = 0.0_f32;
         for (x, y) in a.iter().zip(b) {
             assert!(x.is_finite(), "{what}: {name}");
-            if (x - y).abs() > 1e-4 * y.abs().max(1.0) {
+            let distance = (x - y).abs() / y.abs().max(1.0);
+            if distance <= 1e-4 {
+                farthest = farthest.max(distance);
+            } else {
                 far += 1;
                 assert!(
                     (x - y).abs() < 2e-2 * y.abs().max(1.0),
@@ -73,6 +77,7 @@ fn assert_close(ours: &Render, reference: &Render, loose: usize, what: &str) {
             }
         }
         let pixels = a.len() / per.max(1);
+        println!("{what}: {name} to {farthest:.1e}, {far} of {pixels} pixels beyond");
         assert!(
             far * 1000 <= loose * pixels,
             "{what}: {name} differs at {far} of {pixels}"
@@ -93,6 +98,7 @@ fn relative(a: &[f32], b: &[f32]) -> f64 {
 fn assert_gradients(ours: &(Gradients, Vec<PoseGradient>), reference: &(Gradients, Vec<PoseGradient>), what: &str) {
     let (a, b) = (&ours.0, &reference.0);
     assert_eq!(a.not_finite, b.not_finite, "{what}");
+    let mut farthest = 0.0_f64;
     for (name, x, y) in [
         ("means", &a.means, &b.means),
         ("quats", &a.quats, &b.quats),
@@ -103,7 +109,9 @@ fn assert_gradients(ours: &(Gradients, Vec<PoseGradient>), reference: &(Gradient
     ] {
         let d = relative(x, y);
         assert!(d < 1e-3, "{what}: {name} {d}");
+        farthest = farthest.max(d);
     }
+    println!("{what}: gradients differ by {farthest:.1e} of their norm");
     let narrow = |values: &[f64]| values.iter().map(|v| *v as f32).collect::<Vec<f32>>();
     assert!(
         relative(&narrow(&a.background), &narrow(&b.background)) < 1e-3,

@@ -79,7 +79,7 @@ pub fn backward_views(tape: &GpuTape, gradients: &[RenderGradient<'_>]) -> Resul
             poses.resize(poses.len() + pass.views, PoseGradient::default());
             continue;
         }
-        let sums = pass.walk(scene, config, own);
+        let sums = pass.walk(scene, config, own)?;
         let cubes = scene.count.div_ceil(CHAIN_UNITS);
         let partial = device.empty(POSE * cubes * pass.views);
         chain::chain::launch(
@@ -155,10 +155,14 @@ fn pose(parts: &[f32]) -> PoseGradient {
 
 impl Pass {
     /// Sums of every entry over its pixels. `[views N, MOMENTS + E]`
-    fn walk(&self, scene: &GpuScene, config: &RasterConfig, gradients: &[RenderGradient<'_>]) -> Buffer {
+    fn walk(&self, scene: &GpuScene, config: &RasterConfig, gradients: &[RenderGradient<'_>]) -> Result<Buffer> {
         let device = &scene.device;
         let client = &device.client;
         let channels = scene.extra_channels;
+        let stride = MOMENTS + channels;
+        let entries = self.views * scene.count;
+        device.check_words("the sums of the pairs of Gaussian and tile", self.pairs * stride)?;
+        device.check_words("the sums of the projected Gaussians", entries * stride)?;
         let pixels = self.width * self.height;
         let count = self.views * pixels;
         let mut image = vec![0.0; 6 * count];
@@ -192,7 +196,6 @@ impl Pass {
             channels as u32,
             BackgroundLaunch::new(config.background[0], config.background[1], config.background[2]),
         );
-        let stride = MOMENTS + channels;
         let sums = device.empty(self.pairs * stride);
         for first in (0..channels.max(1)).step_by(EXTRA) {
             walk::walk::launch(
@@ -214,7 +217,6 @@ impl Pass {
                 channels > 0,
             );
         }
-        let entries = self.views * scene.count;
         let by_entry = device.empty(entries * stride);
         chain::gather::launch(
             client,
@@ -228,7 +230,7 @@ impl Pass {
             entries as u32,
             stride as u32,
         );
-        by_entry
+        Ok(by_entry)
     }
 }
 

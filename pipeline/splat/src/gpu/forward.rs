@@ -1,12 +1,14 @@
 //! Rendering: projection, sorting and compositing of a group of views at once.
 
+use rayon::prelude::*;
+
 use crate::camera::{ALPHA_FLOOR, Camera, RasterConfig, View};
 use crate::error::{Result, SplatError};
 use crate::render::{Counts, Render};
 
 use super::device::{Buffer, GpuDevice, cube, grid};
 use super::kernels::composite::LayoutLaunch;
-use super::kernels::{ENTRY, EXTRA, PLANES, RECORD, TILE, UNITS, WIDE, composite, project};
+use super::kernels::{ENTRY, EXTRA, MOMENTS, PLANES, RECORD, TILE, UNITS, WIDE, composite, project};
 use super::scene::{GpuScene, view_words};
 
 /// Most Gaussians of all views of a group together, unless a single view has more.
@@ -53,7 +55,9 @@ pub fn render_views(scene: &GpuScene, cameras: &[Camera], config: &RasterConfig)
 /// Consecutive views of equal size, few enough for one pass.
 pub(crate) fn groups(scene: &GpuScene, cameras: &[Camera], config: &RasterConfig) -> Result<Vec<Vec<View>>> {
     config.validate()?;
-    let most = (GROUP_ENTRIES.min(scene.device.most_words() / RECORD) / scene.count.max(1)).max(1);
+    // Neither the records of a group nor its sums in a backward pass may exceed one buffer.
+    let words = RECORD.max(MOMENTS + scene.extra_channels);
+    let most = (GROUP_ENTRIES.min(scene.device.most_words() / words) / scene.count.max(1)).max(1);
     let mut groups: Vec<Vec<View>> = Vec::new();
     for camera in cameras {
         camera.validate()?;
@@ -258,49 +262,57 @@ impl Pass {
             return Err(SplatError::gpu("the device returned no image"));
         };
         let tally = device.read_u32(&self.tally)?;
-        let mut transmittance = Vec::with_capacity(self.views * self.width * self.height);
+        let channels = scene.extra_channels;
+        let pixels = self.width * self.height;
         let renders = (0..self.views)
+            .into_par_iter()
             .map(|view| {
-                let pixels = self.width * self.height;
-                let planes = &image[view * PLANES * pixels..(view + 1) * PLANES * pixels];
-                let plane = |k: usize| &planes[k * pixels..(k + 1) * pixels];
-                let channels = scene.extra_channels;
-                let more = &more[view * channels * pixels..];
-                transmittance.extend_from_slice(plane(5));
-                let (alpha, depth) = (plane(0), plane(4));
-                let scales: Vec<f32> = alpha.iter().map(|a| 1.0 / a.max(ALPHA_FLOOR)).collect();
-                let mut rgb = vec![0.0; 3 * pixels];
-                for k in 0..3 {
-                    for ((to, from), behind) in rgb[k..].iter_mut().step_by(3).zip(plane(1 + k)).zip(plane(5)) {
-                        *to = from + behind * config.background[k];
-                    }
-                }
-                let (mut sums, mut normalised) = (vec![0.0; channels * pixels], vec![0.0; channels * pixels]);
-                for k in 0..channels {
-                    for pixel in 0..pixels {
-                        let value = more[k * pixels + pixel];
-                        sums[channels * pixel + k] = value;
-                        normalised[channels * pixel + k] = value * scales[pixel];
-                    }
-                }
-                Render {
-                    width: self.width,
-                    height: self.height,
-                    extra_channels: channels,
-                    rgb,
-                    alpha: alpha.to_vec(),
-                    depth_accumulated: depth.to_vec(),
-                    depth_expected: depth.iter().zip(&scales).map(|(d, s)| d * s).collect(),
-                    extra_accumulated: sums,
-                    extra: normalised,
-                    counts: Counts {
-                        visible: tally[project::TALLY * view] as usize,
-                        invalid: tally[project::TALLY * view + 1] as usize,
-                        tile_entries: tally[project::TALLY * view + 2] as usize,
-                    },
-                }
+                let tally = &tally[project::TALLY * view..];
+                let counts = Counts {
+                    visible: tally[0] as usize,
+                    invalid: tally[1] as usize,
+                    tile_entries: tally[2] as usize,
+                };
+                let image = &image[view * PLANES * pixels..(view + 1) * PLANES * pixels];
+                self.render(image, &more[view * channels * pixels..], channels, config, counts)
             })
             .collect();
+        let behind = image.chunks_exact(PLANES * pixels).take(self.views);
+        let transmittance = behind.flat_map(|planes| &planes[5 * pixels..]).copied().collect();
         Ok((renders, transmittance))
+    }
+
+    /// One view's image from its planes.
+    fn render(&self, image: &[f32], more: &[f32], channels: usize, config: &RasterConfig, counts: Counts) -> Render {
+        let pixels = self.width * self.height;
+        let plane = |k: usize| &image[k * pixels..(k + 1) * pixels];
+        let (alpha, depth) = (plane(0), plane(4));
+        let scales: Vec<f32> = alpha.iter().map(|a| 1.0 / a.max(ALPHA_FLOOR)).collect();
+        let mut rgb = vec![0.0; 3 * pixels];
+        for k in 0..3 {
+            for ((to, from), behind) in rgb[k..].iter_mut().step_by(3).zip(plane(1 + k)).zip(plane(5)) {
+                *to = from + behind * config.background[k];
+            }
+        }
+        let (mut sums, mut normalised) = (vec![0.0; channels * pixels], vec![0.0; channels * pixels]);
+        for k in 0..channels {
+            for pixel in 0..pixels {
+                let value = more[k * pixels + pixel];
+                sums[channels * pixel + k] = value;
+                normalised[channels * pixel + k] = value * scales[pixel];
+            }
+        }
+        Render {
+            width: self.width,
+            height: self.height,
+            extra_channels: channels,
+            rgb,
+            alpha: alpha.to_vec(),
+            depth_accumulated: depth.to_vec(),
+            depth_expected: depth.iter().zip(&scales).map(|(d, s)| d * s).collect(),
+            extra_accumulated: sums,
+            extra: normalised,
+            counts,
+        }
     }
 }

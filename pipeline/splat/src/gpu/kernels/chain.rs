@@ -10,7 +10,7 @@ use super::{ENTRY, MOMENTS, NO_RECORD, POSE, RECORD, SHAPE};
 /// Units of a cube of `chain`.
 pub(crate) const CHAIN_UNITS: usize = 64;
 const FALLOFF: f32 = 0.721_347_5;
-const LN_2: f32 = 0.693_147_2;
+const LN_2: f32 = std::f32::consts::LN_2;
 
 /// Sums of every entry over its pairs, in tile order: `[views N, MOMENTS + E]`. One unit an entry; entries that are not
 /// visible are left as they are.

@@ -202,7 +202,7 @@ pub fn project(
     if UNIT_POS < 3u32 {
         tally[TALLY * view_index + UNIT_POS as usize].fetch_add(seen[UNIT_POS as usize].load());
     } else if UNIT_POS == 3u32 {
-        tally[TALLY * view_index + 3].fetch_add((seen[2].load() + 255u32) / 256u32);
+        tally[TALLY * view_index + 3].fetch_add(seen[2].load().div_ceil(256u32));
     }
 }
 

@@ -191,7 +191,7 @@ pub fn walk(
             let mut slope = 0.0f32;
             if alpha >= ALPHA_CUT && first + place < last {
                 let through = 1.0f32 - alpha;
-                transmittance = transmittance * (1.0f32 / through);
+                transmittance *= 1.0f32 / through;
                 weight = alpha * transmittance;
                 let mut colour = 0.0f32;
                 if comptime!(first_pass) {
