@@ -63,14 +63,22 @@ pub struct Rule<'a> {
 /// # Errors
 /// When a gradient cannot be read from the device.
 pub fn gradients(leaves: &Parameters, loss: &Tensor<1>) -> Result<Gradients> {
-    let mut graph = loss.backward();
     let mut by_name = Gradients::new();
+    collect(leaves, &mut loss.backward(), &mut by_name)?;
+    Ok(by_name)
+}
+
+/// Takes the gradients of parameters in memory out of a finished backward pass.
+///
+/// # Errors
+/// When a gradient cannot be read from the device.
+pub fn collect(leaves: &Parameters, graph: &mut burn::tensor::Gradients, by_name: &mut Gradients) -> Result<()> {
     for (name, parameter) in leaves.memory() {
-        if let Some(gradient) = parameter.values.grad_remove(&mut graph) {
+        if let Some(gradient) = parameter.values.grad_remove(graph) {
             by_name.insert(name.clone(), to_host(gradient)?);
         }
     }
-    Ok(by_name)
+    Ok(())
 }
 
 /// Moves the parameters by update `step` (counted from 0); returns the norm of the gradients before clipping. When that is

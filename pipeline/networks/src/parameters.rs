@@ -1,6 +1,7 @@
 //! Named parameters of a network, wherever they are held.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor, TensorData};
 
@@ -32,7 +33,7 @@ pub struct Parameter {
 pub struct Parameters {
     device: Device,
     memory: BTreeMap<String, Parameter>,
-    source: Option<Box<dyn ParameterSource>>,
+    source: Option<Arc<dyn ParameterSource>>,
 }
 
 impl Parameters {
@@ -52,7 +53,7 @@ impl Parameters {
         Self {
             device: device.clone(),
             memory: BTreeMap::new(),
-            source: Some(source),
+            source: Some(Arc::from(source)),
         }
     }
 
@@ -87,17 +88,35 @@ impl Parameters {
         Ok(())
     }
 
-    /// A copy of all parameters in the memory of a device, without the history of their gradients.
+    /// A copy on a device, without the history of gradients; what is streamed stays streamed.
     ///
     /// # Errors
     /// When a parameter cannot be read.
     pub fn on(&self, device: &Device) -> Result<Self> {
-        let mut copy = Self::new(device);
-        for name in self.names() {
-            let shape = self.shape(&name).map(<[usize]>::to_vec).unwrap_or_default();
-            copy.insert(&name, &shape, self.host(&name)?)?;
+        let mut copy = Self {
+            device: device.clone(),
+            memory: BTreeMap::new(),
+            source: self.source.clone(),
+        };
+        for (name, parameter) in &self.memory {
+            copy.insert(name, &parameter.shape, to_host(parameter.values.clone())?)?;
         }
         Ok(copy)
+    }
+
+    /// The same parameters as other leaves: `leaf` makes those in memory, what is streamed stays streamed.
+    #[must_use]
+    pub fn with_leaves(&self, device: &Device, leaf: impl Fn(&str, Tensor<1>) -> Tensor<1>) -> Self {
+        let leaves = self.memory.iter().map(|(name, parameter)| {
+            let values = leaf(name, parameter.values.clone().detach());
+            let shape = parameter.shape.clone();
+            (name.clone(), Parameter { values, shape })
+        });
+        Self {
+            device: device.clone(),
+            memory: leaves.collect(),
+            source: self.source.clone(),
+        }
     }
 
     /// The parameters in memory, by name; an optimiser changes their values here.

@@ -125,7 +125,16 @@ pub struct Tracks {
     pub visible: Vec<u8>,
 }
 
+/// How [`Clip::calibration_note`] begins for episodes of the procedural generator.
+pub const PROCEDURAL_NOTE: &str = "procedural:";
+
 impl Clip {
+    /// Whether the clip comes from the procedural generator and not from a camera or a video model.
+    #[must_use]
+    pub fn is_procedural(&self) -> bool {
+        self.calibration_note.starts_with(PROCEDURAL_NOTE)
+    }
+
     /// Number of frames of the clip (17 by default).
     #[must_use]
     pub fn frame_count(&self) -> usize {

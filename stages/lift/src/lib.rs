@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 
 pub use lifting::MotionOptions;
 pub use model::{COMPACT_WEIGHTS, Model, load_model};
-pub use params::{CrossCamera, LiftParams, QueryState, RobotMotion, TokenSource};
+pub use params::{CrossCamera, LiftParams, Numbers, QueryState, RobotMotion, TokenSource};
 pub use query::FieldQuery;
 use rogs_networks::Error;
 use rogs_networks::parameters::Parameters;
@@ -94,6 +94,9 @@ impl Stage for Lift {
             ));
         }
         let clip: Clip = context.read("clip")?;
+        if let Some(warning) = self.model.out_of_distribution(&clip) {
+            context.warn(warning);
+        }
         let robot: RobotMaps = context.read("robot")?;
         let conditioning: Conditioning = context.read("conditioning")?;
         let latents = context.optional_input("latents").map(PathBuf::from);

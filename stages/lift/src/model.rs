@@ -5,6 +5,7 @@ use std::path::Path;
 use burn::tensor::Device;
 use rogs_networks::checkpoint;
 use rogs_networks::stage1::{Stage1, Stage1Config, seeded};
+use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::WeightsInfo;
 use rogs_worker::{StageError, StageResult};
 
@@ -21,6 +22,22 @@ pub struct Model {
     pub network: Stage1,
     /// Where its weights come from.
     pub info: WeightsInfo,
+    /// Whether the weights have seen nothing but procedural clips.
+    pub procedural_only: bool,
+}
+
+impl Model {
+    /// What a person should know when this clip is not of the kind that the weights were trained on.
+    #[must_use]
+    pub fn out_of_distribution(&self, clip: &Clip) -> Option<String> {
+        (self.procedural_only && !clip.is_procedural()).then(|| {
+            format!(
+                "OUT OF DISTRIBUTION: these weights have seen procedural clips only ({}), and `{}` is none; look at the \
+                 renders, and take no number for what the method can do",
+                self.info.description, clip.clip_id
+            )
+        })
+    }
 }
 
 /// Loads the network of a weights file, or generates weights from the seed when there is none.
@@ -29,10 +46,16 @@ pub struct Model {
 /// When the file cannot be read or is no Stage-1 checkpoint, or the configuration is not known.
 pub fn load_model(params: &LiftParams, weights: Option<&Path>) -> StageResult<Model> {
     let device = Device::flex();
-    let Some(path) = weights else {
-        return generated(params, &device);
+    let mut model = match weights {
+        Some(path) => read(path, &device)?,
+        None => generated(params, &device)?,
     };
-    let loaded = checkpoint::open_stage1(path, &device).map_err(stage_error)?;
+    model.network.precision = params.precision.into();
+    Ok(model)
+}
+
+fn read(path: &Path, device: &Device) -> StageResult<Model> {
+    let loaded = checkpoint::open_stage1(path, device).map_err(stage_error)?;
     let mut hasher = blake3::Hasher::new();
     let io = |error: std::io::Error| StageError::io(format!("{}: {error}", path.display()));
     hasher
@@ -48,6 +71,7 @@ pub fn load_model(params: &LiftParams, weights: Option<&Path>) -> StageResult<Mo
     Ok(Model {
         network: loaded.network,
         info,
+        procedural_only: loaded.procedural_only,
     })
 }
 
@@ -60,5 +84,9 @@ fn generated(params: &LiftParams, device: &Device) -> StageResult<Model> {
         description: format!("generated from seed {}", params.seed),
         hash: String::new(),
     };
-    Ok(Model { network, info })
+    Ok(Model {
+        network,
+        info,
+        procedural_only: false,
+    })
 }

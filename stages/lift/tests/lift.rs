@@ -1,6 +1,8 @@
 //! Lifting of small clips made here: what a field contains, the interventions, queries, determinism.
 
-use rogs_lift::{CrossCamera, FieldQuery, LiftParams, Model, MotionOptions, RobotMotion, lift_clip, load_model};
+use rogs_lift::{
+    CrossCamera, FieldQuery, LiftParams, Model, MotionOptions, Numbers, RobotMotion, lift_clip, load_model,
+};
 use rogs_schemas::pose::{Intrinsics, RigidPose};
 use rogs_schemas::records::clip::DepthReference;
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
@@ -173,6 +175,7 @@ fn moving_model() -> Model {
     Model {
         network,
         info: model.info,
+        procedural_only: false,
     }
 }
 
@@ -231,6 +234,22 @@ fn a_seeded_field_is_a_plausible_still_picture() {
         field.support.iter().filter(|&&support| support != 0).count(),
         4 * robot_pixels().len()
     );
+}
+
+#[test]
+fn bf16_products_are_a_parameter_and_change_little() {
+    let inputs = inputs();
+    let plain = LiftParams::default();
+    let rounded = LiftParams {
+        precision: Numbers::Bf16,
+        ..LiftParams::default()
+    };
+    let exact = lift_with(&model(&plain), &plain, &inputs);
+    let rounded = lift_with(&model(&rounded), &rounded, &inputs);
+    assert_ne!(rounded.position_m, exact.position_m);
+    for (a, b) in rounded.position_m.iter().zip(&exact.position_m) {
+        assert!((a - b).abs() < 0.02, "{a} {b}");
+    }
 }
 
 #[test]

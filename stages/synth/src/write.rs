@@ -9,6 +9,7 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
 use rogs_schemas::episode as layout;
+use rogs_schemas::records::clip::PROCEDURAL_NOTE;
 use serde::Serialize;
 
 use crate::cameras::{CAMERA_NAMES, CAMERAS, Mount};
@@ -334,10 +335,10 @@ fn description(episode: &Episode, model: &str) -> layout::Episode {
         frame_count: episode.frame_count() as u32,
         task: episode.task(),
         calibration_note: match episode.config.calibration_noise {
-            None => "procedural: exact".into(),
+            None => format!("{PROCEDURAL_NOTE} exact"),
             Some([metres, radians]) => {
                 format!(
-                    "procedural: extrinsics off by {:.1} mm and {:.2} degrees (1 sigma)",
+                    "{PROCEDURAL_NOTE} extrinsics off by {:.1} mm and {:.2} degrees (1 sigma)",
                     1000.0 * metres,
                     radians.to_degrees()
                 )

@@ -127,14 +127,15 @@ impl RunFolder {
         self.keep_metrics_before(step)
     }
 
-    /// Writes the state of a run; the old one stays whole until the new one is.
+    /// Writes the state of a run; the old one stays whole until the new one is. Parameters that are read from the
+    /// checkpoint that the run started from are not in it.
     ///
     /// # Errors
     /// When writing fails.
     pub fn save(&self, parameters: &Parameters, moments: &Moments, step: u64) -> Result<()> {
         let mut tensors = Vec::new();
-        for name in parameters.names() {
-            let shape = parameters.shape(&name).map(<[usize]>::to_vec).unwrap_or_default();
+        for (name, parameter) in parameters.memory() {
+            let shape = parameter.shape.clone();
             let mut add = |kind: &str, values: Vec<f32>| {
                 tensors.push(TensorSource {
                     name: format!("{kind}/{name}"),
@@ -142,8 +143,8 @@ impl RunFolder {
                     values: Box::new(move || Ok(values)),
                 });
             };
-            add("value", parameters.host(&name)?);
-            if let Some([first, second]) = moments.by_name.get(&name) {
+            add("value", parameters.host(name)?);
+            if let Some([first, second]) = moments.by_name.get(name) {
                 add("first", first.clone());
                 add("second", second.clone());
             }

@@ -31,8 +31,8 @@ pub struct Stage1Training {
     pub evaluate_every: u64,
     /// Held-out clips that are scored.
     pub evaluation_clips: u64,
-    /// Computes cheap intermediate results again in the backward pass instead of keeping them: less memory, more time,
-    /// the same gradients.
+    /// Runs the aggregator twice, the second time a pair at a time, instead of keeping what all pairs compute: less memory,
+    /// more time.
     pub gradient_checkpointing: bool,
     /// Where clips come from.
     pub data: DataSettings,

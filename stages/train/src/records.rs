@@ -1,7 +1,9 @@
 //! The records that the pipeline's stages would make of a procedural clip, without files: for training of Stage 2, and to
 //! hold the training clips against the stages themselves.
 
-use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Tracks};
+use rogs_schemas::records::clip::{
+    CameraMount, CameraRole, Clip, ClipCamera, DepthReference, PROCEDURAL_NOTE, RobotStates, Tracks,
+};
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_synth::{ARM_JOINT_NAMES, CAMERA_NAMES, CAMERAS, FIRST_OBJECT_ID, View, rigid_pose};
@@ -88,7 +90,7 @@ impl Maker<'_> {
             episode_id: self.episode.id(),
             layout: "procedural".into(),
             task: self.episode.task(),
-            calibration_note: String::new(),
+            calibration_note: PROCEDURAL_NOTE.into(),
             fps: self.episode.config.fps,
             episode_frames: (self.plan.first..self.plan.first + self.data.clip_frames).collect(),
             source_frames: self.plan.sources.clone(),

@@ -10,7 +10,9 @@ use rogs_schemas::records::field::{Field, WeightsInfo};
 use rogs_schemas::units::m_from_iu;
 use rogs_train::config::DataSettings;
 use rogs_train::plan::ClipPlan;
+use rogs_train::run::run;
 use rogs_train::stage1::forward::{Lifted, lift};
+use rogs_train::{Stage1Trainer, Stage1Training};
 
 #[test]
 fn lifting_in_training_equals_the_lift_stage() {
@@ -41,7 +43,11 @@ fn lifting_in_training_equals_the_lift_stage() {
         description: String::new(),
         hash: String::new(),
     };
-    let model = Model { network, info };
+    let model = Model {
+        network,
+        info,
+        procedural_only: false,
+    };
     let lift_field = |params: &LiftParams| {
         let (clip, robot, conditioning) = (&records.clip, &records.robot, &records.conditioning);
         let mut run = |_: &str, _: f64, work: rogs_lift::Work<'_>| work();
@@ -89,4 +95,34 @@ fn lifting_in_training_equals_the_lift_stage() {
         }
     }
     assert!(moved > 1e-3);
+}
+
+#[test]
+fn weights_say_what_they_were_trained_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = Stage1Training {
+        steps: 1,
+        evaluation_clips: 0,
+        data: DataSettings {
+            size: [28, 42],
+            source_times: [1, 1],
+            queries: 1,
+            images_per_step: 3,
+            ..DataSettings::default()
+        },
+        ..Stage1Training::default()
+    };
+    let mut trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
+    run(&mut trainer, folder.path(), None, &mut |_| {}).unwrap();
+    let weights = folder.path().join("model.safetensors");
+    let model = rogs_lift::load_model(&LiftParams::default(), Some(&weights)).unwrap();
+    let plan = ClipPlan::draw(3, 1, &settings.data, &mut Pcg64::from_seed(3));
+    let mut clip = plan.records(&settings.data).unwrap().clip;
+    assert_eq!(model.out_of_distribution(&clip), None);
+    clip.calibration_note = "measured".into();
+    let warning = model.out_of_distribution(&clip).unwrap();
+    assert!(
+        warning.starts_with("OUT OF DISTRIBUTION") && warning.contains(&clip.clip_id),
+        "{warning}"
+    );
 }

@@ -49,6 +49,11 @@ pub fn stage1_metadata(config: &Stage1Config, trained: bool, provenance: &str) -
     pairs.map(|(key, value)| (key.to_owned(), value.to_owned())).into()
 }
 
+/// Metadata key: the kind of clips that the weights were trained on, where that is a narrow one.
+pub const TRAINING_DOMAIN: &str = "rogs.training_domain";
+/// Value of [`TRAINING_DOMAIN`] for weights that have seen nothing but clips of the procedural generator.
+pub const PROCEDURAL: &str = "procedural";
+
 /// A Stage-1 network from one of our checkpoints.
 pub struct LoadedStage1 {
     /// The network.
@@ -57,6 +62,8 @@ pub struct LoadedStage1 {
     pub trained: bool,
     /// What the file says about its origin.
     pub provenance: String,
+    /// Whether the weights have seen nothing but procedural clips.
+    pub procedural_only: bool,
 }
 
 /// Opens a Stage-1 checkpoint and checks every name and shape against its configuration.
@@ -86,6 +93,7 @@ pub fn open_stage1(path: &Path, device: &Device) -> Result<LoadedStage1> {
     config.validate()?;
     let report = verify_stage1(&file, &config);
     report.into_result(path)?;
+    let procedural_only = metadata.get(TRAINING_DOMAIN).is_some_and(|value| value == PROCEDURAL);
     let (trained, provenance) = (
         metadata.get(TRAINED).is_some_and(|value| value == "true"),
         metadata.get(PROVENANCE).cloned().unwrap_or_default(),
@@ -99,6 +107,7 @@ pub fn open_stage1(path: &Path, device: &Device) -> Result<LoadedStage1> {
         network: Stage1::new(config, parameters)?,
         trained,
         provenance,
+        procedural_only,
     })
 }
 

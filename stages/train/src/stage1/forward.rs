@@ -1,10 +1,10 @@
 //! One differentiable pass of the network over a clip.
 
-use burn::tensor::Tensor;
+use burn::tensor::{Device, Tensor};
 use rogs_networks::parameters::from_host;
 use rogs_networks::render::{ColourTensor, GaussianTensors};
-use rogs_networks::stage1::decode::{self, DEPTH_RANGE_IU, MotionGates};
-use rogs_networks::stage1::{Attention, HeadKind, SourceFrames, Stage1};
+use rogs_networks::stage1::decode::{DEPTH_RANGE_IU, MotionGates, activate_attributes, gate_attributes};
+use rogs_networks::stage1::{Attention, Encoded, HeadKind, SourceFrames, Stage1};
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 
 use crate::error::Result;
@@ -32,21 +32,35 @@ pub struct LiftedQuery {
     pub raw: Tensor<4>,
 }
 
+/// What the network sees of a clip.
+#[must_use]
+pub fn source_frames(sample: &Sample, device: &Device) -> SourceFrames {
+    let [height, width] = sample.size;
+    SourceFrames {
+        images: from_host(sample.images.clone(), [sample.views.len(), 3, height, width], device),
+        cameras: sample.cameras.clone(),
+        times: sample.views.iter().map(|&(_, time)| time).collect(),
+        attention: Attention::Joint,
+    }
+}
+
 /// Runs the network; `conditioned` is false for clips whose conditioning is dropped.
 ///
 /// # Errors
 /// When a tensor is missing or has another shape.
 pub fn lift(network: &Stage1, sample: &Sample, conditioned: bool) -> Result<Lifted> {
+    let encoded = network.encode(&source_frames(sample, network.parameters.device()))?;
+    decode(network, sample, &encoded, conditioned)
+}
+
+/// Runs the heads; the rest as [`lift`].
+///
+/// # Errors
+/// When a tensor is missing or has another shape.
+pub fn decode(network: &Stage1, sample: &Sample, encoded: &Encoded, conditioned: bool) -> Result<Lifted> {
     let device = network.parameters.device();
     let [height, width] = sample.size;
     let (views, area) = (sample.views.len(), height * width);
-    let images = from_host(sample.images.clone(), [views, 3, height, width], device);
-    let encoded = network.encode(&SourceFrames {
-        images: images.clone(),
-        cameras: sample.cameras.clone(),
-        times: sample.views.iter().map(|&(_, time)| time).collect(),
-        attention: Attention::Joint,
-    })?;
     let [depth_head, splat_head, motion_head, timed_head] = HeadKind::ALL.map(|kind| network.head(kind));
     let (depth_head, splat_head) = (depth_head?, splat_head?);
     let (motion_head, timed_head) = (motion_head?, timed_head?);
@@ -64,7 +78,7 @@ pub fn lift(network: &Stage1, sample: &Sample, conditioned: bool) -> Result<Lift
     let position = rays * selected + from_host(origins, [views, 3, 1, 1], device);
 
     let mut base_raw = splat_head.forward(&splat_head.projections(None), &encoded.taps, grid, size);
-    if let Some(shortcut) = splat_head.shortcut(images) {
+    if let Some(shortcut) = splat_head.shortcut(from_host(sample.images.clone(), [views, 3, height, width], device)) {
         base_raw = base_raw + shortcut;
     }
     let timed_shortcut = timed_head.shortcut(base_raw.clone().narrow(1, 0, 11));
@@ -88,7 +102,7 @@ pub fn lift(network: &Stage1, sample: &Sample, conditioned: bool) -> Result<Lift
         if let Some(shortcut) = &timed_shortcut {
             timed = timed + shortcut.clone();
         }
-        let raw = decode::gate_attributes(displacement.clone(), base_raw.clone(), timed, MotionGates::default());
+        let raw = gate_attributes(displacement.clone(), base_raw.clone(), timed, MotionGates::default());
         LiftedQuery { displacement, raw }
     };
     let queries = sample.queries.iter().map(query).collect();
@@ -128,7 +142,7 @@ fn rays(sample: &Sample) -> (Vec<f32>, Vec<f32>) {
 pub fn attributes(raw: Tensor<4>, sample: &Sample) -> Tensor<4> {
     let [views, _, height, width] = raw.dims();
     let cap = from_host(sample.scale_cap_iu.clone(), [views, 1, height, width], &raw.device());
-    let activated = decode::activate_attributes(raw.narrow(1, 0, 11));
+    let activated = activate_attributes(raw.narrow(1, 0, 11));
     let scale = activated.clone().narrow(1, 3, 3).min_pair(cap.repeat(&[1, 3, 1, 1]));
     Tensor::cat(
         vec![activated.clone().narrow(1, 0, 3), scale, activated.narrow(1, 6, 5)],

@@ -4,13 +4,14 @@ mod evaluate;
 pub mod forward;
 pub mod objective;
 mod renders;
+mod segments;
 pub mod start;
 
 use std::collections::BTreeMap;
 
 use burn::tensor::Device;
 use rayon::prelude::*;
-use rogs_networks::checkpoint::stage1_metadata;
+use rogs_networks::checkpoint::{PROCEDURAL, TRAINING_DOMAIN, stage1_metadata};
 use rogs_networks::lpips::LpipsTensors;
 use rogs_networks::optimiser::{self, Gradients, Moments, Rule, schedule};
 use rogs_networks::parameters::Parameters;
@@ -38,6 +39,8 @@ pub struct Stage1Trainer {
     pub moments: Moments,
     /// Updates done.
     pub step: u64,
+    /// Whether the weights have seen nothing but procedural clips.
+    procedural_only: bool,
     /// The network of `movies_lpips`.
     perceptual: Option<LpipsTensors>,
 }
@@ -49,15 +52,13 @@ impl Stage1Trainer {
     /// When settings are wrong or the checkpoint to start from cannot be opened.
     pub fn new(settings: Stage1Training, device: &Device) -> Result<Self> {
         settings.check()?;
-        let mut device = device.clone().autodiff();
-        if settings.gradient_checkpointing {
-            device = device.gradient_checkpointing();
-        }
-        let network = start::network(&settings, &device)?;
+        let device = device.clone().autodiff();
+        let start = start::start(&settings, &device)?;
         let perceptual = perceptual(settings.lpips.as_deref(), &device)?;
         Ok(Self {
             settings,
-            network,
+            network: start.network,
+            procedural_only: start.procedural_only,
             moments: Moments::default(),
             step: 0,
             perceptual,
@@ -74,16 +75,19 @@ impl Stage1Trainer {
         let free =
             (anchoring_dropout > 0.0 && random.next_double() < anchoring_dropout).then(|| clip.without_anchors());
         let clip = free.as_ref().unwrap_or(clip);
-        let lifted = lift(&network, clip, conditioned)?;
-        let objective = objective(
-            clip,
-            &lifted,
-            Losses {
-                weights: &settings.losses,
-                perceptual: self.perceptual.as_ref(),
-            },
-            &mut random,
-        )?;
+        let losses = Losses {
+            weights: &settings.losses,
+            perceptual: self.perceptual.as_ref(),
+        };
+        let (objective, gradients) = if settings.gradient_checkpointing {
+            segments::differentiate(&network, clip, conditioned, losses, &mut random)?
+        } else {
+            let lifted = lift(&network, clip, conditioned)?;
+            let objective = objective(clip, &lifted, losses, &mut random)?;
+            drop(lifted);
+            let gradients = optimiser::gradients(&network.parameters, &objective.loss)?;
+            (objective, gradients)
+        };
         if !objective.value.is_finite() {
             let bad = objective.terms.iter().find(|(_, value)| !value.is_finite());
             let bad = bad.map_or("total", |(key, _)| key);
@@ -92,11 +96,10 @@ impl Stage1Trainer {
                 what: format!("the loss `{bad}` of the clip of seed {}", clip.seed),
             });
         }
-        drop(lifted);
         Ok(ClipResult {
             value: objective.value,
             terms: objective.terms,
-            gradients: optimiser::gradients(&network.parameters, &objective.loss)?,
+            gradients,
         })
     }
 }
@@ -158,7 +161,11 @@ impl Course for Stage1Trainer {
         let provenance = format!(
             "trained by rogs-train on procedural clips only, {step} updates at {height} x {width}, {start}{time}"
         );
-        stage1_metadata(&self.network.config, step > 0, &provenance)
+        let mut metadata = stage1_metadata(&self.network.config, step > 0, &provenance);
+        if self.procedural_only {
+            metadata.insert(TRAINING_DOMAIN.to_owned(), PROCEDURAL.to_owned());
+        }
+        metadata
     }
 
     // Clips are differentiated side by side on as many threads as there are; their gradients are added up in their order.

@@ -13,14 +13,25 @@ use crate::error::Result;
 const START_LAYER_SCALE: f32 = 0.3;
 
 /// The network of a run before its first update.
+pub struct Start {
+    /// Its weights are those of the checkpoint, or drawn from the seed.
+    pub network: Stage1,
+    /// Whether these have seen nothing but procedural clips, if any.
+    pub procedural_only: bool,
+}
+
+/// Makes the network that a run starts from.
 ///
 /// # Errors
 /// When the checkpoint to start from cannot be opened or is of another configuration.
-pub fn network(settings: &Stage1Training, device: &Device) -> Result<Stage1> {
+pub fn start(settings: &Stage1Training, device: &Device) -> Result<Start> {
     let config = Stage1Config::by_name(&settings.configuration)?;
-    let mut network = match &settings.start {
-        Some(path) => checkpoint::open_stage1(path, device)?.network,
-        None => from_seed(&config, settings.seed, device)?,
+    let (mut network, procedural_only) = match &settings.start {
+        Some(path) => {
+            let loaded = checkpoint::open_stage1(path, device)?;
+            (loaded.network, loaded.procedural_only || !loaded.trained)
+        }
+        None => (from_seed(&config, settings.seed, device)?, true),
     };
     if network.config != config {
         return Err(crate::Error::Setting {
@@ -35,7 +46,23 @@ pub fn network(settings: &Stage1Training, device: &Device) -> Result<Stage1> {
     if settings.optimiser.lora_rank > 0 {
         add_low_rank_updates(&mut network, settings)?;
     }
-    Ok(network)
+    bring_into_memory(&mut network.parameters, &settings.optimiser)?;
+    Ok(Start {
+        network,
+        procedural_only,
+    })
+}
+
+/// Reads the trained parameters of a large checkpoint; the others are read from the file whenever they are used.
+fn bring_into_memory(parameters: &mut Parameters, settings: &OptimiserSettings) -> Result<()> {
+    for name in parameters.names() {
+        if rate_of(&name, settings).is_some() && !parameters.memory().contains_key(&name) {
+            let shape = parameters.shape(&name).map(<[usize]>::to_vec).unwrap_or_default();
+            let values = parameters.host(&name)?;
+            parameters.insert(&name, &shape, values)?;
+        }
+    }
+    Ok(())
 }
 
 /// Seeded weights that can learn: in the released network the ray embedding starts at zero on both sides of its norm,
@@ -140,15 +167,13 @@ pub fn rate_of(name: &str, settings: &OptimiserSettings) -> Option<f64> {
 /// # Errors
 /// When the configuration is not possible.
 pub fn tracked(network: &Stage1, settings: &OptimiserSettings) -> Result<Stage1> {
-    let mut parameters = Parameters::new(network.parameters.device());
-    for (name, parameter) in network.parameters.memory() {
-        let values = parameter.values.clone().detach();
-        let trained = rate_of(name, settings).is_some();
-        let leaf = rogs_networks::parameters::Parameter {
-            values: if trained { values.require_grad() } else { values },
-            shape: parameter.shape.clone(),
-        };
-        parameters.memory_mut().insert(name.clone(), leaf);
-    }
-    Ok(Stage1::new(network.config.clone(), parameters)?)
+    let parameters = &network.parameters;
+    let leaves = parameters.with_leaves(parameters.device(), |name, values| {
+        if rate_of(name, settings).is_some() {
+            values.require_grad()
+        } else {
+            values
+        }
+    });
+    Ok(Stage1::new(network.config.clone(), leaves)?)
 }
