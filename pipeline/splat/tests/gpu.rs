@@ -394,6 +394,31 @@ fn moved_gaussians_leave_earlier_tapes_alone() {
     );
 }
 
+#[test]
+fn small_buffers_split_views_and_refuse_what_does_not_fit() {
+    let Some(device) = device() else { return };
+    let scene = random::scene(1500, 2, Some(1), 3);
+    let cameras = cameras(&[(70, 50); 5]);
+    let config = RasterConfig::default();
+    let run = |device: &GpuDevice| {
+        let on_device = GpuScene::upload(device, &scene)?;
+        let (images, tape) = gpu::render_views_with_tape(&on_device, &cameras, &config)?;
+        let (gradients, poses) = gpu::backward_views(&tape, &Loss::new(&cameras, 3).images())?;
+        Ok::<_, rogs_splat::SplatError>((images, gradients, poses))
+    };
+    let whole = run(&device).unwrap();
+    // All views at once, then at most two and one for the sake of their pairs.
+    for bytes in [1 << 24, 800_000, 450_000] {
+        let (images, gradients, poses) = run(&device.clone().with_buffers_up_to(bytes)).unwrap();
+        assert_eq!(images, whole.0, "{bytes}");
+        assert_eq!(poses, whole.2, "{bytes}");
+        // Sums over views are rounded in another order.
+        assert!(relative(&gradients.means, &whole.1.means) < 1e-5, "{bytes}");
+    }
+    let error = run(&device.with_buffers_up_to(300_000)).unwrap_err().to_string();
+    assert!(error.contains("fewer or smaller"), "{error}");
+}
+
 /// One pixel that many Gaussians share: a list far longer than a batch, and the stop inside it.
 #[test]
 fn many_gaussians_on_one_pixel() {

@@ -6,7 +6,7 @@ use crate::error::{Result, SplatError};
 use crate::render::Render;
 
 use super::device::{Buffer, cube, grid};
-use super::forward::{Pass, groups};
+use super::forward::{Pass, for_each_pass};
 use super::kernels::chain::CHAIN_UNITS;
 use super::kernels::walk::BackgroundLaunch;
 use super::kernels::{EXTRA, MOMENTS, POSE, SHAPE, UNITS, WIDE, chain, walk};
@@ -31,12 +31,12 @@ pub fn render_views_with_tape(
 ) -> Result<(Vec<Render>, GpuTape)> {
     let mut renders = Vec::with_capacity(cameras.len());
     let mut passes = Vec::new();
-    for group in groups(scene, cameras, config)? {
-        let pass = Pass::run(scene, &group, config)?;
+    for_each_pass(scene, cameras, config, MOMENTS + scene.extra_channels, |pass| {
         let (images, transmittance) = pass.images(scene, config)?;
         renders.extend(images);
         passes.push((pass, transmittance));
-    }
+        Ok(())
+    })?;
     let tape = GpuTape {
         scene: scene.clone(),
         config: *config,

@@ -6,7 +6,7 @@ use crate::error::{Result, SplatError};
 use crate::render::Render;
 
 use super::device::{Buffer, cube, grid};
-use super::forward::{Pass, groups};
+use super::forward::{Pass, for_each_pass};
 use super::kernels::{UNITS, WIDE, contribute};
 use super::scene::GpuScene;
 
@@ -52,13 +52,13 @@ pub fn render_views_with_contributions(
     let mut renders = Vec::with_capacity(cameras.len());
     let mut parts = Vec::new();
     let mut entries = 0;
-    for group in groups(scene, cameras, config)? {
-        let pass = Pass::run(scene, &group, config)?;
+    for_each_pass(scene, cameras, config, 1, |pass| {
         renders.extend(pass.images(scene, config)?.0);
         let (part, count) = Part::new(scene, pass, &marks)?;
         entries += count;
         parts.push(part);
-    }
+        Ok(())
+    })?;
     let contributions = GpuContributions {
         rows,
         pixels: cameras.iter().map(Camera::pixels).sum(),

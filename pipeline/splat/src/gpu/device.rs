@@ -42,6 +42,13 @@ impl GpuDevice {
         &self.name
     }
 
+    /// Uses no buffer larger than this, so that views are taken in smaller groups and memory is left to others.
+    #[must_use]
+    pub fn with_buffers_up_to(mut self, bytes: usize) -> Self {
+        self.largest = self.largest.min(bytes);
+        self
+    }
+
     /// Largest number of 4-byte words of one array.
     pub(crate) fn most_words(&self) -> usize {
         (self.largest / 4).min(1 << 30)

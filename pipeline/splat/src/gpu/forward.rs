@@ -45,53 +45,68 @@ pub(crate) struct Pass {
 /// When cameras or settings make no sense, when the device cannot hold a view, and when it fails.
 pub fn render_views(scene: &GpuScene, cameras: &[Camera], config: &RasterConfig) -> Result<Vec<Render>> {
     let mut renders = Vec::with_capacity(cameras.len());
-    for group in groups(scene, cameras, config)? {
-        let pass = Pass::run(scene, &group, config)?;
+    for_each_pass(scene, cameras, config, 1, |pass| {
         renders.extend(pass.images(scene, config)?.0);
-    }
+        Ok(())
+    })?;
     Ok(renders)
 }
 
-/// Consecutive views of equal size, few enough for one pass.
-pub(crate) fn groups(scene: &GpuScene, cameras: &[Camera], config: &RasterConfig) -> Result<Vec<Vec<View>>> {
+/// Runs passes over groups of consecutive views of equal size, as many at once as fit: records and images of a group, and
+/// `words` words for each of its pairs, must fit into one buffer each.
+pub(crate) fn for_each_pass(
+    scene: &GpuScene,
+    cameras: &[Camera],
+    config: &RasterConfig,
+    words: usize,
+    mut take: impl FnMut(Pass) -> Result<()>,
+) -> Result<()> {
     config.validate()?;
-    // Neither the records of a group nor its sums in a backward pass may exceed one buffer.
-    let words = RECORD.max(MOMENTS + scene.extra_channels);
-    let most = (GROUP_ENTRIES.min(scene.device.most_words() / words) / scene.count.max(1)).max(1);
-    let mut groups: Vec<Vec<View>> = Vec::new();
+    let mut views = Vec::with_capacity(cameras.len());
     for camera in cameras {
         camera.validate()?;
-        let view = View::new(camera);
-        match groups.last_mut() {
-            Some(group) if group.len() < most && (group[0].width, group[0].height) == (view.width, view.height) => {
-                group.push(view);
+        views.push(View::new(camera));
+    }
+    let buffer = scene.device.most_words();
+    let per_entry = RECORD.max(MOMENTS + scene.extra_channels);
+    let per_pixel = PLANES.max(2 * scene.extra_channels).max(4 + scene.extra_channels);
+    let mut rest = views.as_slice();
+    // Learnt from groups with too many pairs.
+    let mut most = usize::MAX;
+    while let Some(first) = rest.first() {
+        let pixels = first.width * first.height;
+        let same = |view: &&View| (view.width, view.height) == (first.width, first.height);
+        let fits = (GROUP_ENTRIES.min(buffer / per_entry) / scene.count.max(1)).min(buffer / per_pixel / pixels);
+        let count = rest.iter().take(most.min(fits).max(1)).take_while(same).count();
+        let (group, others) = rest.split_at(count);
+        match Pass::run(scene, group, config, words)? {
+            Some(pass) => {
+                take(pass)?;
+                rest = others;
             }
-            _ => groups.push(vec![view]),
+            None => most = count / 2,
         }
     }
-    Ok(groups)
+    Ok(())
 }
 
 impl Pass {
-    /// Projects, sorts and composites.
-    pub(crate) fn run(scene: &GpuScene, views: &[View], config: &RasterConfig) -> Result<Self> {
+    /// Projects, sorts and composites; `None` when several views have too many pairs together.
+    fn run(scene: &GpuScene, views: &[View], config: &RasterConfig, words: usize) -> Result<Option<Self>> {
         let device = &scene.device;
         let (width, height) = (views[0].width, views[0].height);
-        let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
-        let tiles = columns * rows;
+        let tiles = width.div_ceil(TILE) * height.div_ceil(TILE);
         let entries = scene.count * views.len();
         let pixels = views.len() * width * height;
         device.check_words("the projected Gaussians", entries * RECORD)?;
-        device.check_words(
-            "the images",
-            pixels * PLANES.max(2 * scene.extra_channels).max(4 + scene.extra_channels),
-        )?;
-        let words: Vec<f32> = views.iter().flat_map(|view| view_words(view, config)).collect();
+        let channels = scene.extra_channels;
+        device.check_words("the images", pixels * PLANES.max(2 * channels).max(4 + channels))?;
+        let packed: Vec<f32> = views.iter().flat_map(|view| view_words(view, config)).collect();
         let mut pass = Self {
             views: views.len(),
             width,
             height,
-            view_words: device.upload(&words),
+            view_words: device.upload(&packed),
             records: device.empty(entries * RECORD),
             entries: device.empty(entries * ENTRY),
             first_pair: device.empty(entries),
@@ -107,10 +122,19 @@ impl Pass {
         };
         if entries > 0 {
             pass.project(scene, config);
-            pass.file(scene, entries, columns, tiles)?;
+            let by_depth = pass.by_depth(scene, entries);
+            let offsets = pass.offsets(scene, &by_depth, entries);
+            let pairs = pass.count_pairs(scene, &offsets, entries)?;
+            if pairs * words > device.most_words() {
+                if views.len() > 1 {
+                    return Ok(None);
+                }
+                device.check_words("the pairs of Gaussian and tile", pairs * words)?;
+            }
+            pass.file(scene, &by_depth, &offsets, pairs);
         }
         pass.composite(scene);
-        Ok(pass)
+        Ok(Some(pass))
     }
 
     fn project(&self, scene: &GpuScene, config: &RasterConfig) {
@@ -133,49 +157,59 @@ impl Pass {
         );
     }
 
-    /// Sorts the entries of all views by depth, lays their pairs out in that order and sorts these by tile.
-    fn file(&mut self, scene: &GpuScene, entries: usize, columns: usize, tiles: usize) -> Result<()> {
+    /// The entries of all views in order of depth.
+    fn by_depth(&self, scene: &GpuScene, entries: usize) -> Buffer {
         let device = &scene.device;
-        let client = &device.client;
-        let over = |count: usize| grid(count.div_ceil(WIDE));
         let (keys, values) = (device.empty(entries), device.empty(entries));
         project::depths::launch(
-            client,
-            over(entries),
+            &device.client,
+            grid(entries.div_ceil(WIDE)),
             cube(WIDE),
             self.entries.arg(),
             keys.arg(),
             values.arg(),
             entries as u32,
         );
-        let (_, by_depth) = device.sort(keys, values, entries, 32);
+        device.sort(keys, values, entries, 32).1
+    }
+
+    /// First pair of every entry in order of depth, and the number of pairs.
+    fn offsets(&self, scene: &GpuScene, by_depth: &Buffer, entries: usize) -> Buffer {
+        let device = &scene.device;
         let counts = device.empty(entries);
         project::counts::launch(
-            client,
-            over(entries),
+            &device.client,
+            grid(entries.div_ceil(WIDE)),
             cube(WIDE),
             self.entries.arg(),
             by_depth.arg(),
             counts.arg(),
             entries as u32,
         );
-        let offsets = device.scan(&counts, entries);
-        let pairs = device.pick(&offsets, entries)? as usize;
-        let tally = device.read_u32(&self.tally)?;
+        device.scan(&counts, entries)
+    }
+
+    fn count_pairs(&self, scene: &GpuScene, offsets: &Buffer, entries: usize) -> Result<usize> {
+        let tally = scene.device.read_u32(&self.tally)?;
         let coarse: u64 = tally.chunks_exact(project::TALLY).map(|view| u64::from(view[3])).sum();
-        if coarse > MOST_PAIRS / 256 {
-            return Err(SplatError::gpu(format!(
-                "the Gaussians cover too many image tiles for one render: about {} pairs",
-                256 * coarse
-            )));
+        if coarse <= MOST_PAIRS / 256 {
+            return Ok(scene.device.pick(offsets, entries)? as usize);
         }
-        device.check_words(
-            "the pairs of Gaussian and tile",
-            pairs * (super::kernels::MOMENTS + scene.extra_channels),
-        )?;
+        // The sums are of 32 bits and may have overflowed; this many do not fit anyway.
+        Ok(256 * coarse as usize)
+    }
+
+    /// Lays the pairs out in order of depth and sorts them by tile.
+    fn file(&mut self, scene: &GpuScene, by_depth: &Buffer, offsets: &Buffer, pairs: usize) {
         if pairs == 0 {
-            return Ok(());
+            return;
         }
+        let device = &scene.device;
+        let client = &device.client;
+        let over = |count: usize| grid(count.div_ceil(WIDE));
+        let entries = self.views * scene.count;
+        let columns = self.width.div_ceil(TILE);
+        let tiles = columns * self.height.div_ceil(TILE);
         let (keys, values) = (device.empty(pairs), device.empty(pairs));
         self.pairs = pairs;
         self.pair_record = device.empty(pairs);
@@ -209,7 +243,6 @@ impl Pass {
             pairs as u32,
             last_key,
         );
-        Ok(())
     }
 
     fn composite(&self, scene: &GpuScene) {

@@ -7,6 +7,9 @@ use crate::gaussians::{Colour, Gaussians};
 use super::device::{Buffer, GpuDevice, cube, grid};
 use super::kernels::{SHAPE, VIEW, WIDE, project};
 
+/// Most Gaussians of a scene: the projection has a row of at most 65535 cubes.
+const MOST_GAUSSIANS: usize = 65_535 * WIDE;
+
 /// Gaussians in the memory of a device, for any number of renders.
 #[derive(Clone)]
 pub struct GpuScene {
@@ -30,6 +33,11 @@ impl GpuScene {
     pub fn upload(device: &GpuDevice, gaussians: &Gaussians) -> Result<Self> {
         gaussians.validate()?;
         let count = gaussians.len();
+        if count > MOST_GAUSSIANS {
+            return Err(SplatError::gpu(format!(
+                "a scene has at most {MOST_GAUSSIANS} Gaussians there, not {count}"
+            )));
+        }
         device.check_words("the Gaussians", SHAPE * count)?;
         device.check_words("the colours", gaussians.colour.values().len())?;
         device.check_words("the extra channels", gaussians.extra.len())?;
