@@ -117,7 +117,7 @@ fn parts(network: &Stage1, grid: [usize; 2]) -> Result<Vec<(&'static str, f64)>,
     ])
 }
 
-/// Image encoder, aggregator, depth and attribute heads.
+/// Image encoder, aggregator, depth and attribute heads, once.
 fn whole(network: &Stage1) -> Result<f64, Box<dyn std::error::Error>> {
     let device = Device::flex();
     let pixels = FRAMES * 3 * SIZE[0] * SIZE[1];
@@ -134,23 +134,16 @@ fn whole(network: &Stage1) -> Result<f64, Box<dyn std::error::Error>> {
         attention: Attention::Joint,
     };
     let heads = [network.head(HeadKind::Depth)?, network.head(HeadKind::Splat)?];
-    let mut failure = None;
-    let seconds = best(|| match network.encode(&frames) {
-        Ok(encoded) => {
-            for head in &heads {
-                let projections = head.projections(None);
-                for frame in 0..FRAMES {
-                    let one = encoded.frames_at(frame, 1);
-                    drop(head.forward(&projections, &one.taps, one.grid, one.size).to_data());
-                }
-            }
+    let start = processor_seconds();
+    let encoded = network.encode(&frames)?;
+    for head in &heads {
+        let projections = head.projections(None);
+        for frame in 0..FRAMES {
+            let one = encoded.frames_at(frame, 1);
+            drop(head.forward(&projections, &one.taps, one.grid, one.size).to_data());
         }
-        Err(error) => failure = Some(error),
-    });
-    match failure {
-        Some(error) => Err(error.into()),
-        None => Ok(seconds),
     }
+    Ok(processor_seconds() - start)
 }
 
 /// The same parts in PyTorch, if there is one.

@@ -8,7 +8,7 @@ use burn::tensor::{Device, Tensor};
 use rogs_networks::parameters::Parameters;
 use rogs_networks::stage1::decode::{self, MotionGates, activate_depth, gate_attributes};
 use rogs_networks::stage1::head::FkBranch;
-use rogs_networks::stage1::{Attention, Encoded, HeadKind, SourceFrames, Stage1, losses};
+use rogs_networks::stage1::{Attention, Encoded, HeadKind, Precision, SourceFrames, Stage1, losses};
 use support::{Golden, close, host, scaled_tolerance, tiny, worst};
 
 /// Names and channels of the attributes in a raw map.
@@ -59,6 +59,38 @@ fn run(network: &Stage1, encoded: &Encoded, images: Tensor<4>, times: &[f32]) ->
             .iter()
             .map(|&time| timed.forward(&timed.projections(Some(time)), taps, *grid, *size) + shortcut.clone())
             .collect(),
+    }
+}
+
+#[test]
+fn bf16_products_stay_near_the_reference() {
+    let device = Device::flex();
+    let (Some(golden), Some(mut network)) = (Golden::open("full_forward"), tiny(&device)) else {
+        return;
+    };
+    network.precision = Precision::Bf16;
+    let input = frames(&golden, &device);
+    let encoded = network.encode(&input).unwrap();
+    let outputs = run(
+        &network,
+        &encoded,
+        input.images.clone(),
+        golden.values("in.output_timesteps"),
+    );
+    let check = |name: &str, found: Vec<f32>| {
+        let expected = golden.values(name);
+        let largest = expected.iter().fold(0.0f32, |a, b| a.max(b.abs()));
+        let share = worst(&found, expected) / largest;
+        println!("{name}: worst error {share:.1e} of the largest value");
+        assert!(share > 1e-5, "{name}: the products are rounded");
+        assert!(share < 0.02, "{name}: {share}");
+    };
+    check("out.depth", host(outputs.depth.narrow(1, 0, 1)));
+    for (name, first, count) in ATTRIBUTES.into_iter().filter(|(name, ..)| *name != "conf") {
+        check(
+            &format!("out.{name}"),
+            host(outputs.base.clone().narrow(1, first, count)),
+        );
     }
 }
 
