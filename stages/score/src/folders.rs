@@ -368,9 +368,13 @@ fn pair(
         }
     }
     if let Some(count) = undefined(own) {
-        scores.notes.push(format!(
-            "{count} values of the prediction are no finite numbers; they count as 0 (infinite colours are clipped)"
-        ));
+        let how = match own.content {
+            Content::Depth(_) => "they count as 0",
+            _ => "NaN counts as 0, infinite values are clipped",
+        };
+        scores
+            .notes
+            .push(format!("{count} values of the prediction are no finite numbers: {how}"));
     }
     for (side, picture) in [("prediction", own), ("reference", other)] {
         scores.notes.extend(clipped(side, picture));
