@@ -16,7 +16,7 @@ use rogs_schemas::read_record;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
 use rogs_score::cohort::CohortCounts;
 use rogs_score::summary::{ImageMetric, Metric, clip_value};
-use rogs_score::tables::{Table, TableId, TableInput, TableOptions, table};
+use rogs_score::tables::{Table, TableId, TableInput, TableOptions, table, to_csv, to_latex, to_text};
 use rogs_score::timing::ClipTiming;
 
 /// Clips with pictures when the manifest does not say.
@@ -147,17 +147,12 @@ impl RunResults {
             hide_empty_rows: true,
             ..TableOptions::default()
         };
+        let folder = self.plan.run.join("report");
         let mut tables = Vec::new();
-        for id in [
-            TableId::Main,
-            TableId::Additional,
-            TableId::Robot,
-            TableId::Recurrence,
-            TableId::Ci,
-            TableId::Timing,
-        ] {
+        for id in TableId::ALL {
             let table = self.table(id, None, options)?;
-            if !table.rows.is_empty() {
+            if has_content(&table) {
+                write_table(&folder.join(TABLES_FOLDER), &table)?;
                 tables.push(report_table(&table));
             }
         }
@@ -176,7 +171,6 @@ impl RunResults {
             ("variants".to_owned(), self.plan.variants.join(", ")),
             ("program".to_owned(), format!("rogs {}", env!("CARGO_PKG_VERSION"))),
         ];
-        let folder = self.plan.run.join("report");
         let manifest = rogs_orchestrator::manifest::Manifest::load(&self.plan.manifest).ok();
         let max_picture_clips = manifest
             .and_then(|(manifest, _)| manifest.report.clips)
@@ -191,6 +185,37 @@ impl RunResults {
         };
         write_report(&folder, &input).with_context(|| format!("writing the report in `{}`", folder.display()))
     }
+}
+
+/// Folder of the table files beside the page.
+const TABLES_FOLDER: &str = "tables";
+
+/// Whether a table says something about this run: a number, and in tables of variants one of a variant.
+fn has_content(table: &Table) -> bool {
+    let measured = |row: &&rogs_score::tables::Row| row.cells.iter().any(|cell| cell.value().is_some());
+    let of_variants = !matches!(
+        table.id,
+        TableId::Main | TableId::Additional | TableId::Ci | TableId::Scale | TableId::Timing
+    );
+    let mut rows = table.rows.iter().filter(measured);
+    rows.any(|row| !of_variants || row.method.contains('/'))
+}
+
+/// Writes a table in all its forms.
+fn write_table(folder: &Path, table: &Table) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| format!("making `{}`", folder.display()))?;
+    let mut json = serde_json::to_vec_pretty(table)?;
+    json.push(b'\n');
+    let forms = [
+        ("txt", to_text(table).into_bytes()),
+        ("csv", to_csv(table).into_bytes()),
+        ("tex", to_latex(table).into_bytes()),
+        ("json", json),
+    ];
+    for (extension, bytes) in forms {
+        rogs_schemas::atomic::write_bytes(&folder.join(format!("{}.{extension}", table.id)), &bytes)?;
+    }
+    Ok(())
 }
 
 /// Name of the file in an outside method's folder of a clip that says what its own steps cost.

@@ -149,7 +149,7 @@ fn polynomial_fields_and_recentring_are_as_published() {
         rest = rest.max(worst(state.gaussians.colour.values(), &f32s(&file, &name("colors"))));
     }
     println!("polynomials: centres {centres:.1e} m, rotations {quats:.1e}, other {rest:.1e}");
-    assert!(centres < 1e-4 && quats < 1e-5 && rest < 1e-5);
+    assert!(centres < 1e-6 && quats < 1e-6 && rest < 1e-6);
 
     let mut frame_error = 0.0f64;
     for case in ["pose", "pose_fixed"] {
@@ -164,7 +164,7 @@ fn polynomial_fields_and_recentring_are_as_published() {
         frame_error = pairs.map(|(a, b)| (a - b).abs()).fold(frame_error, f64::max);
     }
     println!("recentring: {frame_error:.1e}");
-    assert!(frame_error < 1e-6);
+    assert!(frame_error < 1e-9);
 }
 
 /// The first three rows of a row-major matrix.
