@@ -58,7 +58,17 @@ fn a_generated_checkpoint_opens_as_the_seeded_network() {
     assert!(loaded.network.fk_branch().unwrap().is_some());
     // Read tensor by tensor from the mapped file, the numbers are the same.
     let streamed = Parameters::streaming(Box::new(TensorFile::open(&path).unwrap()), &Device::flex());
-    assert_eq!(taps(&Stage1::new(config, streamed).unwrap()), taps(&seeded));
+    assert_eq!(taps(&Stage1::new(config.clone(), streamed).unwrap()), taps(&seeded));
+    // What is trained is brought into memory; copies with other leaves go on reading the rest from the file.
+    let mut mixed = Parameters::streaming(Box::new(TensorFile::open(&path).unwrap()), &Device::flex());
+    let name = "backbone.backbone.camera_token";
+    let shape = mixed.shape(name).unwrap().to_vec();
+    mixed.insert(name, &shape, mixed.host(name).unwrap()).unwrap();
+    let tracked = mixed.with_leaves(&Device::flex().autodiff(), |_, values| values.autodiff().require_grad());
+    assert_eq!((tracked.memory().len(), tracked.names()), (1, mixed.names()));
+    let copy = tracked.on(&Device::flex()).unwrap();
+    assert_eq!(copy.memory().len(), 1);
+    assert_eq!(taps(&Stage1::new(config, copy).unwrap()), taps(&seeded));
 }
 
 #[test]
@@ -279,6 +289,9 @@ fn damaged_files_are_refused_with_a_reason() {
     ));
     cases.push(with_header(
         r#"{"a":{"dtype":"I64","shape":[2],"data_offsets":[0,16]}}"#,
+    ));
+    cases.push(with_header(
+        r#"{"a":{"dtype":"F32","shape":[2],"data_offsets":[0,8]},"b":{"dtype":"F32","shape":[2],"data_offsets":[4,12]}}"#,
     ));
     cases.push(with_header(r#"{"a":7}"#));
     cases.push(with_header("[]"));

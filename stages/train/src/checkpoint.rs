@@ -84,14 +84,17 @@ impl RunFolder {
         self.root.join(name)
     }
 
-    /// Brings a run to where the folder's state is; leaves it alone when there is none.
+    /// Brings a run to where the folder's state is; leaves it alone when there is none. Returns the number of parameters
+    /// that the state held.
     ///
     /// # Errors
     /// When the state cannot be read or is not one of this run.
-    pub fn resume(&self, run: State<'_>) -> Result<()> {
+    pub fn resume(&self, run: State<'_>) -> Result<usize> {
         let path = self.path("state.safetensors");
+        let mut restored = 0;
         if !path.exists() {
-            return self.keep_metrics_before(0);
+            self.keep_metrics_before(0)?;
+            return Ok(restored);
         }
         let file = TensorFile::open(&path)?;
         let bad = |reason: &str| Error::Folder {
@@ -115,6 +118,7 @@ impl RunFolder {
             let moment = match kind {
                 "value" => {
                     run.parameters.insert(parameter, &shape, values)?;
+                    restored += 1;
                     continue;
                 }
                 "first" => 0,
@@ -124,7 +128,8 @@ impl RunFolder {
             run.moments.by_name.entry(parameter.to_owned()).or_default()[moment] = values;
         }
         *run.step = step;
-        self.keep_metrics_before(step)
+        self.keep_metrics_before(step)?;
+        Ok(restored)
     }
 
     /// Writes the state of a run; the old one stays whole until the new one is. Parameters that are read from the

@@ -120,13 +120,25 @@ fn execute(command: Command) -> Result<()> {
             provenance,
         } => {
             let settings = Stage1Training::read(&folder.join("settings.toml"))?;
-            // The state holds every parameter: the checkpoint that the run started from need not be there any more.
-            let alone = Stage1Training {
-                start: None,
-                ..settings.clone()
-            };
-            let mut trainer = Stage1Trainer::new(alone, &Device::flex())?;
-            RunFolder::open(&folder, &settings)?.resume(trainer.state())?;
+            // A checkpoint that the run started from need not be there any more when the state holds every parameter.
+            let start = settings.start.clone();
+            let missing = start.filter(|start| !start.exists());
+            let mut trainer = Stage1Trainer::new(
+                Stage1Training {
+                    start: settings.start.clone().filter(|_| missing.is_none()),
+                    ..settings.clone()
+                },
+                &Device::flex(),
+            )?;
+            let restored = RunFolder::open(&folder, &settings)?.resume(trainer.state())?;
+            if let Some(path) = missing.filter(|_| restored < trainer.parameters().names().len()) {
+                return Err(Error::Folder {
+                    path,
+                    reason: "is not there, and the state holds only the weights that were trained; bring back the \
+                             checkpoint that the run started from"
+                        .into(),
+                });
+            }
             trainer.settings = settings;
             let element = match numbers {
                 Numbers::F32 => ElementType::F32,
