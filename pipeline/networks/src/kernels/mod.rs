@@ -13,6 +13,7 @@ mod extension;
 mod pointwise;
 mod product;
 mod vectorised;
+mod winograd;
 
 pub(crate) use attention::{HeadNorm, PackedAttention};
 pub(crate) use conv::{After, Conv3x3};
@@ -23,3 +24,4 @@ pub(crate) use pointwise::gelu;
 pub(crate) use product::PackedWeight;
 pub use product::Precision;
 pub(crate) use vectorised::vectorised;
+pub(crate) use winograd::Winograd;

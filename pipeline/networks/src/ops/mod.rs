@@ -7,7 +7,7 @@ use burn::tensor::ops::{AttentionModuleOptions, ConvOptions, InterpolateMode, In
 use burn::tensor::{Tensor, activation};
 
 use crate::Result;
-use crate::kernels::{self, After, Conv3x3, HeadNorm, PackedWeight, Precision};
+use crate::kernels::{self, After, Conv3x3, HeadNorm, PackedWeight, Precision, Winograd};
 use crate::parameters::Scope;
 
 /// alpha / rank of low-rank updates: 16 / 32 (`stage1-network.md` section 9). The ratio is fixed, whatever the rank.
@@ -196,7 +196,12 @@ pub struct Conv {
     padding: usize,
     /// The weights as the CPU kernel takes them, made when first needed.
     packed: Arc<OnceLock<Conv3x3>>,
+    /// The same for minimal filtering; `None` inside where the layer is too narrow to gain from it.
+    tiled: Arc<OnceLock<Option<Winograd>>>,
 }
+
+/// Channels from which minimal filtering pays.
+const WIDE: usize = 64;
 
 impl Conv {
     /// Reads a `kernel x kernel` convolution padded to keep its size (before the stride).
@@ -228,33 +233,37 @@ impl Conv {
             stride,
             padding: kernel / 2,
             packed: Arc::default(),
+            tiled: Arc::default(),
         })
     }
 
     /// Applies the convolution. `[B, in, H, W] -> [B, out, H', W']`
     #[must_use]
     pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
-        match self.kernel(&input) {
-            Some(_) => self.run(input.clone(), input, false, After::Nothing, false),
-            None => self.plain(input),
+        if self.has_kernel(&input) {
+            self.run(input.clone(), input, false, After::Nothing, false)
+        } else {
+            self.plain(input)
         }
     }
 
     /// relu(conv(relu(x))).
     #[must_use]
     pub fn forward_rectified(&self, input: Tensor<4>) -> Tensor<4> {
-        match self.kernel(&input) {
-            Some(_) => self.run(input.clone(), input, true, After::Relu, false),
-            None => relu(self.plain(relu(input))),
+        if self.has_kernel(&input) {
+            self.run(input.clone(), input, true, After::Relu, false)
+        } else {
+            relu(self.plain(relu(input)))
         }
     }
 
     /// conv(x) + relu(r), for a convolution that keeps the size.
     #[must_use]
     pub fn forward_onto(&self, input: Tensor<4>, residual: Tensor<4>) -> Tensor<4> {
-        match self.kernel(&input) {
-            Some(_) => self.run(input, residual, false, After::Nothing, true),
-            None => self.plain(input) + relu(residual),
+        if self.has_kernel(&input) {
+            self.run(input, residual, false, After::Nothing, true)
+        } else {
+            self.plain(input) + relu(residual)
         }
     }
 
@@ -286,33 +295,37 @@ impl Conv {
         product.reshape([images, outputs, height, width])
     }
 
-    /// The packed weights, if this convolution on this input has a kernel.
-    fn kernel(&self, input: &Tensor<4>) -> Option<&Conv3x3> {
-        let [outputs, inputs, size, _] = self.weight.dims();
-        if size != 3 || self.stride != 1 || !kernels::usable(input) || !kernels::usable(&self.weight) {
-            return None;
-        }
-        let bias = || self.bias.as_ref().map(values).unwrap_or_default();
-        Some(
-            self.packed
-                .get_or_init(|| Conv3x3::new(&values(&self.weight), &bias(), outputs, inputs)),
-        )
+    /// Whether this convolution on this input has a kernel.
+    fn has_kernel(&self, input: &Tensor<4>) -> bool {
+        self.weight.dims()[2] == 3 && self.stride == 1 && kernels::usable(input) && kernels::usable(&self.weight)
     }
 
-    /// Runs the kernel, whose weights are packed.
+    /// Runs the kernel: by minimal filtering where that pays, else directly.
     fn run(&self, input: Tensor<4>, residual: Tensor<4>, rectify: bool, after: After, add: bool) -> Tensor<4> {
-        let [images, _, height, width] = input.dims();
-        let packed = self.packed.clone();
+        let [images, inputs, height, width] = input.dims();
+        let (size, outputs) = ([height, width], self.weight.dims()[0]);
+        let bias = || self.bias.as_ref().map_or_else(|| vec![0.0; outputs], values);
+        let tiled = || {
+            let is_wide = inputs >= WIDE && outputs >= WIDE;
+            is_wide.then(|| Winograd::new(&values(&self.weight), bias(), inputs, outputs).ok())?
+        };
+        let is_tiled = Winograd::fits(size) && self.tiled.get_or_init(tiled).is_some();
+        if !is_tiled {
+            self.packed
+                .get_or_init(|| Conv3x3::new(&values(&self.weight), &bias(), outputs, inputs));
+        }
+        let (packed, tiled) = (self.packed.clone(), self.tiled.clone());
         kernels::read(
             input,
             residual,
-            [images, self.weight.dims()[0], height, width],
+            [images, outputs, height, width],
             move |input, residual| {
                 let residual = add.then_some(residual);
-                packed
-                    .get()
-                    .map(|conv| conv.run(input, [height, width], rectify, after, residual))
-                    .unwrap_or_default()
+                match (tiled.get(), packed.get()) {
+                    (Some(Some(conv)), _) if is_tiled => conv.run(input, size, rectify, after, residual),
+                    (_, Some(conv)) => conv.run(input, size, rectify, after, residual),
+                    _ => Vec::new(),
+                }
             },
         )
     }

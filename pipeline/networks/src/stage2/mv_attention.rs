@@ -2,8 +2,9 @@
 
 use rayon::prelude::*;
 
-use super::kernels::{LayerNorm, Linear, Plane, ROWS_PER_PIECE, Winograd, add_assign, self_attention};
+use super::kernels::{LayerNorm, Linear, Plane, ROWS_PER_PIECE, add_assign, self_attention};
 use super::resnet::checked;
+use crate::kernels::Winograd;
 use crate::parameters::Parameters;
 use crate::{Error, Result};
 
@@ -117,7 +118,8 @@ impl MultiViewAttention {
         let low = tokens.chunks_exact(shape.0 * shape.1 * self.channels);
         for (view, tokens) in views.iter_mut().zip(low) {
             self.unfold_view(tokens, shape, &mut unfolded);
-            self.smooth.add_to(&unfolded, &mut view.data);
+            self.smooth
+                .add_to(&unfolded.data, [unfolded.height, unfolded.width], &mut view.data);
         }
         Ok(())
     }
@@ -135,7 +137,8 @@ impl MultiViewAttention {
                 let mut unfolded = Plane::zeros(shape.0 * FACTOR, shape.1 * FACTOR, self.channels);
                 self.unfold_view(tokens, shape, &mut unfolded);
                 let mut smoothed = Plane::zeros(unfolded.height, unfolded.width, self.channels);
-                self.smooth.add_to(&unfolded, &mut smoothed.data);
+                self.smooth
+                    .add_to(&unfolded.data, [unfolded.height, unfolded.width], &mut smoothed.data);
                 smoothed
             })
             .collect();

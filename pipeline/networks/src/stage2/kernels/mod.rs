@@ -8,7 +8,6 @@ mod conv;
 mod dense;
 mod neighbours;
 mod plane;
-mod winograd;
 
 pub(crate) use attention::self_attention;
 pub(crate) use conv::{Conv, max_pool_3x3_stride_2};
@@ -16,7 +15,6 @@ pub(crate) use dense::{LayerNorm, Linear, add_assign, gelu_in_place, relu_in_pla
 pub(crate) use neighbours::neighbour_attention;
 pub use plane::Plane;
 pub(crate) use plane::add_resized;
-pub(crate) use winograd::Winograd;
 
 /// Rows that one piece of work handles.
 pub(crate) const ROWS_PER_PIECE: usize = 256;

@@ -1,4 +1,4 @@
-//! 3x3 convolution of channels-last maps by minimal filtering: F(2x2, 3x3) of Lavin and Gray (2016).
+//! 3x3 convolution by minimal filtering: F(2x2, 3x3) of Lavin and Gray (2016).
 //!
 //! A tile of 2x2 outputs needs 4x4 inputs. Transformed inputs and weights meet in 16 matrix products over the channels
 //! instead of 36 multiplications per output tile and pair of channels: 4/9 of the direct sum's work, at no larger rounding
@@ -7,8 +7,7 @@
 
 use rayon::prelude::*;
 
-use super::Plane;
-use crate::kernels::{PackedWeight, Precision, vectorised};
+use super::{After, PackedWeight, Precision, vectorised};
 use crate::{Error, Result};
 
 /// Side of an output tile.
@@ -17,8 +16,8 @@ const SIDE: usize = 2;
 const REACH: usize = SIDE + 2;
 /// Numbers of a transformed tile.
 const POINTS: usize = REACH * REACH;
-/// Rows of tiles that one piece of work handles.
-const TILE_ROWS: usize = 1;
+/// Tiles that one piece of work should have, so that weights are read for many of them at a time.
+const PIECE_TILES: usize = 96;
 /// Channels that are transformed together.
 const LANES: usize = 16;
 
@@ -63,18 +62,73 @@ impl Winograd {
         })
     }
 
-    /// Adds the convolution of `map` to `out`. `map [height, width, inputs]`, `out [height * width * outputs]`
+    /// Whether maps of this size can be convolved.
+    pub(crate) fn fits([height, width]: [usize; 2]) -> bool {
+        height.is_multiple_of(SIDE) && width.is_multiple_of(SIDE)
+    }
+
+    /// Convolves planar images as [`super::Conv3x3::run`] does. `[B, in, H, W] -> [B, out, H, W]`
+    pub(crate) fn run(
+        &self,
+        input: &[f32],
+        size: [usize; 2],
+        rectify: bool,
+        after: After,
+        residual: Option<&[f32]>,
+    ) -> Vec<f32> {
+        let area = size[0] * size[1];
+        let mut result = vec![0.0; input.len() / self.inputs * self.outputs];
+        let images = input.chunks_exact(self.inputs * area);
+        for (image, (input, result)) in images.zip(result.chunks_exact_mut(self.outputs * area)).enumerate() {
+            let map = channels_last(input, self.inputs, rectify);
+            let mut sums = vec![0.0; self.outputs * area];
+            self.add_to(&map, size, &mut sums);
+            let residual = residual.map(|residual| &residual[image * result.len()..][..result.len()]);
+            result
+                .par_chunks_mut(LANES * area)
+                .enumerate()
+                .for_each(|(piece, planes)| {
+                    let first = piece * LANES;
+                    for (pixel, sums) in sums.chunks_exact(self.outputs).enumerate() {
+                        for (channel, sum) in sums[first..].iter().take(planes.len() / area).enumerate() {
+                            planes[channel * area + pixel] = *sum;
+                        }
+                    }
+                    if after == After::Relu {
+                        planes.iter_mut().for_each(|value| *value = value.max(0.0));
+                    }
+                    if let Some(residual) = residual {
+                        let residual = &residual[first * area..];
+                        planes
+                            .iter_mut()
+                            .zip(residual)
+                            .for_each(|(value, other)| *value += other.max(0.0));
+                    }
+                });
+        }
+        result
+    }
+
+    /// Adds the convolution of a map with channels last to `out`. `map [height * width * inputs]`,
+    /// `out [height * width * outputs]`
     ///
     /// # Panics
     /// When a side is odd, or the map has other channels.
-    pub(crate) fn add_to(&self, map: &Plane, out: &mut [f32]) {
+    pub(crate) fn add_to(&self, map: &[f32], [height, width]: [usize; 2], out: &mut [f32]) {
         assert!(
-            map.height.is_multiple_of(SIDE) && map.width.is_multiple_of(SIDE) && map.channels == self.inputs,
+            Self::fits([height, width]) && map.len() == height * width * self.inputs,
             "the map does not fit the convolution"
         );
-        let columns = map.width / SIDE;
-        let line = SIDE * map.width * self.outputs;
-        out.par_chunks_mut(TILE_ROWS * line).enumerate().for_each_init(
+        let map = Map {
+            values: map,
+            height,
+            width,
+            channels: self.inputs,
+        };
+        let columns = width / SIDE;
+        let line = SIDE * width * self.outputs;
+        let tile_rows = PIECE_TILES.div_ceil(columns);
+        out.par_chunks_mut(tile_rows * line).enumerate().for_each_init(
             || (Vec::new(), Vec::new()),
             |(inputs, outputs), (piece, out)| {
                 let tiles = out.len() / line * columns;
@@ -86,8 +140,8 @@ impl Winograd {
                     #[inline(always)]
                     || {
                         for tile in 0..tiles {
-                            let corner = (piece * TILE_ROWS + tile / columns, tile % columns);
-                            transform_inputs(map, corner, &mut inputs[tile * self.inputs..], in_stride);
+                            let corner = (piece * tile_rows + tile / columns, tile % columns);
+                            transform_inputs(&map, corner, &mut inputs[tile * self.inputs..], in_stride);
                         }
                     },
                 );
@@ -100,9 +154,9 @@ impl Winograd {
                     #[inline(always)]
                     || {
                         for tile in 0..tiles {
-                            let start = (tile / columns * SIDE * map.width + tile % columns * SIDE) * self.outputs;
+                            let start = (tile / columns * SIDE * width + tile % columns * SIDE) * self.outputs;
                             let values = &outputs[tile * self.outputs..];
-                            self.transform_outputs(values, out_stride, &mut out[start..], map.width * self.outputs);
+                            self.transform_outputs(values, out_stride, &mut out[start..], width * self.outputs);
                         }
                     },
                 );
@@ -137,9 +191,17 @@ impl Winograd {
     }
 }
 
+/// A map with channels last.
+struct Map<'a> {
+    values: &'a [f32],
+    height: usize,
+    width: usize,
+    channels: usize,
+}
+
 /// Transforms one tile of inputs; `out` begins at the tile's values of the first point.
 #[inline(always)]
-fn transform_inputs(map: &Plane, (tile_row, tile_column): (usize, usize), out: &mut [f32], point_stride: usize) {
+fn transform_inputs(map: &Map<'_>, (tile_row, tile_column): (usize, usize), out: &mut [f32], point_stride: usize) {
     let channels = map.channels;
     for first in (0..channels).step_by(LANES) {
         let count = LANES.min(channels - first);
@@ -150,7 +212,7 @@ fn transform_inputs(map: &Plane, (tile_row, tile_column): (usize, usize), out: &
             for (row, d) in d.iter_mut().enumerate() {
                 let y = (tile_row * SIDE + row).wrapping_sub(1);
                 if x < map.width && y < map.height {
-                    *d = load(&map.data[(y * map.width + x) * channels + first..], count);
+                    *d = load(&map.values[(y * map.width + x) * channels + first..], count);
                 }
             }
             let rows = inputs_1d(&d);
@@ -226,40 +288,54 @@ fn transformed_kernel(kernel: &[f32]) -> [f64; POINTS] {
     })
 }
 
+/// Planar maps with channels last, negative values as zero where asked for. `[channels, area] -> [area, channels]`
+fn channels_last(planar: &[f32], channels: usize, rectify: bool) -> Vec<f32> {
+    let area = planar.len() / channels;
+    let mut out = vec![0.0; planar.len()];
+    out.par_chunks_mut(LANES * channels)
+        .enumerate()
+        .for_each(|(piece, out)| {
+            let count = out.len() / channels;
+            for (channel, plane) in planar.chunks_exact(area).enumerate() {
+                for (pixel, value) in plane[piece * LANES..][..count].iter().enumerate() {
+                    out[pixel * channels + channel] = if rectify { value.max(0.0) } else { *value };
+                }
+            }
+        });
+    out
+}
+
 #[cfg(test)]
 mod tests {
+    use super::super::product::tests::noise;
+    use super::super::{After, Conv3x3};
     use super::*;
-    use crate::stage2::kernels::Conv;
 
     #[test]
     fn equals_the_direct_convolution() {
         for (height, width, inputs, outputs) in [(4, 4, 1, 1), (8, 12, 3, 5), (2, 6, 16, 33), (22, 40, 48, 48)] {
-            let noise = |count: usize, seed: usize| -> Vec<f32> {
-                (0..count)
-                    .map(|k| ((k * 7919 + seed * 104_729) % 1009) as f32 / 504.5 - 1.0)
-                    .collect()
-            };
-            let map = Plane {
-                height,
-                width,
-                channels: inputs,
-                data: noise(height * width * inputs, 1),
-            };
             let (weight, bias) = (noise(outputs * inputs * 9, 2), noise(outputs, 3));
-            let direct = Conv::new(&weight, Some(bias.clone()), inputs, outputs, 3, 1)
-                .unwrap()
-                .forward(&map);
-            let mut found = noise(direct.data.len(), 4);
-            let before = found.clone();
-            Winograd::new(&weight, bias, inputs, outputs)
-                .unwrap()
-                .add_to(&map, &mut found);
-            for ((found, before), direct) in found.iter().zip(&before).zip(&direct.data) {
-                let bound = 5e-7 * (9.0 * inputs as f32 + 1.0);
-                assert!(
-                    (found - before - direct).abs() < bound,
-                    "{height}x{width} {inputs} -> {outputs}: {found} {before} {direct}"
-                );
+            let (tiled, direct) = (
+                Winograd::new(&weight, bias.clone(), inputs, outputs).unwrap(),
+                Conv3x3::new(&weight, &bias, outputs, inputs),
+            );
+            let input = noise(2 * inputs * height * width, 1);
+            let residual = noise(2 * outputs * height * width, 4);
+            let bound = 1e-6 * (9.0 * inputs as f32 + 1.0);
+            for (rectify, after, residual) in [
+                (false, After::Nothing, None),
+                (true, After::Relu, None),
+                (false, After::Nothing, Some(residual.as_slice())),
+            ] {
+                let found = tiled.run(&input, [height, width], rectify, after, residual);
+                let expected = direct.run(&input, [height, width], rectify, after, residual);
+                assert_eq!(found.len(), expected.len());
+                for (found, expected) in found.iter().zip(&expected) {
+                    assert!(
+                        (found - expected).abs() < bound,
+                        "{height}x{width} {inputs} -> {outputs}: {found} {expected}"
+                    );
+                }
             }
         }
         assert!(Winograd::new(&[0.0; 8], vec![0.0], 1, 1).is_err());
