@@ -1,4 +1,5 @@
 //! A throw-away folder with procedural episodes and a manifest, and the program to run on it.
+#![allow(dead_code)] // Every test program takes what it needs.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -17,6 +18,15 @@ pub(crate) struct Workspace {
 impl Workspace {
     /// `episodes` procedural episodes in `episodes/`, their robot in `robot/`, and a manifest at a small size.
     pub(crate) fn with_episodes(episodes: usize) -> Self {
+        Self::of_size(episodes, "140x84", "33")
+    }
+
+    /// The same as small and short as they can be: for tests that are not about what is in the outputs.
+    pub(crate) fn small(episodes: usize) -> Self {
+        Self::of_size(episodes, "56x42", "17")
+    }
+
+    fn of_size(episodes: usize, size: &str, frames: &str) -> Self {
         let workspace = Self {
             folder: tempfile::tempdir().unwrap(),
         };
@@ -29,7 +39,9 @@ impl Workspace {
                 "--seed",
                 "11",
                 "--size",
-                "140x84",
+                size,
+                "--frames",
+                frames,
                 "--out",
             ])
             .arg(&dataset)

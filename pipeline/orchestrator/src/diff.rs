@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use crate::error::{Error, Result, io};
 use crate::exit::Exit;
+use crate::plan::PLAN_FILE;
 
 /// How two runs differ.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -71,6 +72,10 @@ fn outputs(path: &Path) -> Result<BTreeMap<PathBuf, PathBuf>> {
     }
     let clips = path.join("clips");
     if !clips.is_dir() {
+        if path.join(PLAN_FILE).is_file() {
+            // Planned, and nothing made yet.
+            return Ok(BTreeMap::new());
+        }
         return Err(Error::usage(format!(
             "`{}` is neither a run folder nor a file",
             path.display()

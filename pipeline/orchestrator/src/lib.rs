@@ -24,13 +24,14 @@
 //! | `plan --emit jsonl` | [`export::export`] | [`export::Export`] |
 //! | `submit` (Slurm) | [`slurm::submit`] | [`slurm::Submission`] |
 //! | `gc`, `diff`, `logs` | [`gc::collect`], [`diff::diff`], [`logs::logs`] | [`gc::Collected`], [`diff::Difference`], `[Attempt]` |
-//! | `schema` | [`manifest::Manifest::json_schema`] | the JSON schema itself |
+//! | `schema` | [`editor::manifest_schema`] | the JSON schema itself |
 //!
 //! Every failure to go on is an [`Error`] with [`Error::hint`] and [`Error::exit`]; failures of clips are values.
 //! Errors print as `error: {error}`, then `hint: {hint}`.
 
 pub mod diagnose;
 pub mod diff;
+pub mod editor;
 pub mod error;
 pub mod estimate;
 pub mod executor;

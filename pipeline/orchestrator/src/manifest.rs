@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use crate::diagnose::{Text, from_toml_error};
-use crate::error::{Result, io};
+use crate::error::{Error, Result, io};
 
 /// Stages in the order of the pipeline.
 pub const STAGES: [&str; 6] = ["ingest", "robot-maps", "conditioning", "lift", "refine", "score"];
@@ -303,7 +303,11 @@ impl Manifest {
     /// # Errors
     /// When it cannot be read, is no TOML, has unknown names or wrong values; with line and column.
     pub fn load(path: &Path) -> Result<(Self, Text)> {
-        let text = std::fs::read_to_string(path).map_err(io("cannot read the manifest", path))?;
+        let text = std::fs::read_to_string(path).map_err(|error| match error.kind() {
+            std::io::ErrorKind::NotFound => Error::usage(format!("there is no manifest `{}`", path.display()))
+                .with_hint("name a TOML file such as those in `manifests/`, or a run folder"),
+            _ => io("cannot read the manifest", path)(error),
+        })?;
         let folder = path
             .parent()
             .filter(|folder| !folder.as_os_str().is_empty())

@@ -9,9 +9,11 @@ mod run_report;
 mod stages;
 
 use std::ffi::OsString;
+use std::io;
 use std::process::ExitCode;
 
 use clap::Parser as _;
+use rogs_orchestrator::Exit;
 
 fn main() -> ExitCode {
     // A stage inside this program parses its own arguments, so that it is the same program as `rogs-NAME`.
@@ -29,8 +31,33 @@ fn main() -> ExitCode {
         Err(error) if output::is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             output::error(&error);
-            let known = error.downcast_ref::<rogs_orchestrator::Error>();
-            ExitCode::from(known.map_or(2, |error| error.exit().code()))
+            ExitCode::from(exit_of(&error).code())
         }
     }
+}
+
+/// The exit code of an error. What the orchestrator did not say is a wrong request, unless the machine refused.
+fn exit_of(error: &anyhow::Error) -> Exit {
+    if let Some(known) = error.downcast_ref::<rogs_orchestrator::Error>() {
+        return known.exit();
+    }
+    let refused = |error: &io::Error| {
+        use io::ErrorKind::{
+            FileTooLarge, OutOfMemory, PermissionDenied, QuotaExceeded, ReadOnlyFilesystem, StorageFull,
+        };
+        let kinds = [
+            FileTooLarge,
+            OutOfMemory,
+            PermissionDenied,
+            QuotaExceeded,
+            ReadOnlyFilesystem,
+            StorageFull,
+        ];
+        kinds.contains(&error.kind())
+    };
+    let refused = error
+        .chain()
+        .filter_map(|cause| cause.downcast_ref::<io::Error>())
+        .any(refused);
+    if refused { Exit::Trouble } else { Exit::Usage }
 }

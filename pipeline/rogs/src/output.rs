@@ -32,9 +32,15 @@ pub(crate) fn note(text: &str) {
 /// Prints an error with its causes, one a line.
 pub(crate) fn error(error: &anyhow::Error) {
     let mut err = std::io::stderr().lock();
-    let _ = writeln!(err, "error: {error}");
+    let mut said = error.to_string();
+    let _ = writeln!(err, "error: {said}");
     for cause in error.chain().skip(1) {
-        let _ = writeln!(err, "  caused by: {cause}");
+        // Many errors end with their cause already.
+        let cause = cause.to_string();
+        if !said.ends_with(&cause) {
+            let _ = writeln!(err, "  caused by: {cause}");
+            said = cause;
+        }
     }
     if let Some(hint) = error
         .downcast_ref::<rogs_orchestrator::Error>()

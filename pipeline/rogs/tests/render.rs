@@ -351,3 +351,53 @@ fn requests_that_make_no_sense_are_refused_with_a_reason() {
     workspace.bad(&["field.r4c", "--ply", "--camera", "camera.json", "--out", "never"]);
     assert!(!workspace.path("never").exists());
 }
+
+#[test]
+fn nothing_is_written_before_every_camera_and_option_is_understood() {
+    let workspace = Workspace::new();
+    let good = std::fs::read_to_string(workspace.path("camera.json")).unwrap();
+    let with_second = |from: &str, to: &str| {
+        let second = good.replace("front", "second").replace(from, to);
+        assert_ne!(second, good.replace("front", "second"));
+        format!("[{good}, {second}]")
+    };
+    for (name, text, said) in [
+        ("no", "{".to_owned(), "no camera file"),
+        ("empty", "[]".to_owned(), "holds no camera"),
+        ("pose", with_second("[0,0,1,0]", "[0,0,2,0]"), ""),
+        ("lens", with_second("\"fx\": 30", "\"fx\": 0"), "`second`"),
+        ("size", with_second("\"width\": 32", "\"width\": 0"), "`second`"),
+        (
+            "frame",
+            with_second("recon_from_camera", "world_from_camera"),
+            "no camera file",
+        ),
+    ] {
+        workspace.write("cameras.json", &text);
+        let all = [
+            "field.r4c",
+            "--camera",
+            "cameras.json",
+            "--out",
+            "out",
+            "--ply",
+            "--npz",
+        ];
+        let error = workspace.bad(&all);
+        assert!(error.starts_with("error: ") && error.contains(said), "{name}: {error}");
+        assert!(!workspace.path("out").exists(), "{name}: something was written");
+    }
+    for extra in [
+        ["--since", "0.3"],
+        ["--refinement", "missing.r4c"],
+        ["--camera", "missing.json"],
+    ] {
+        let camera: &[&str] = if extra[0] == "--camera" {
+            &[]
+        } else {
+            &["--camera", "camera.json"]
+        };
+        workspace.bad(&[&["field.r4c", "--out", "out", "--ply", "--npz"], camera, &extra].concat());
+        assert!(!workspace.path("out").exists(), "{extra:?}: something was written");
+    }
+}

@@ -150,6 +150,45 @@ pub(crate) fn states(states: &States, row_name: &str, path: &Path) -> StageResul
     Ok(())
 }
 
+/// Ascending times in seconds that step as the frame rate says; gaps are told, since frames are taken as even in time.
+pub(crate) fn times(times: &[f64], fps: f64, path: &Path) -> StageResult<Option<String>> {
+    /// The usual step may differ from the frame rate's by this share: recorders do not keep time exactly.
+    const TOLERANCE: f64 = 0.1;
+    let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let gap = steps.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1));
+    let gap = gap.map(|(before, &step)| (before + 1, step));
+    steps.sort_by(f64::total_cmp);
+    let (Some(&usual), Some((row, longest))) = (steps.get(steps.len() / 2), gap) else {
+        return Ok(None);
+    };
+    let expected = 1.0 / fps;
+    let ratio = usual / expected;
+    if (ratio - 1.0).abs() > TOLERANCE {
+        let near = |factor: f64| (ratio / factor - 1.0).abs() <= TOLERANCE;
+        let hint = match (near(1e3), near(1e6), near(1e9)) {
+            (true, _, _) => "times are seconds; were these milliseconds?",
+            (_, true, _) => "times are seconds; were these microseconds?",
+            (_, _, true) => "times are seconds; were these nanoseconds?",
+            _ => "correct `fps` or the times",
+        };
+        let text = format!("the times step by {usual}, but {fps} frames a second step by {expected:.4} s");
+        return Err(wrong(path, text).with_hint(hint));
+    }
+    let gaps = steps.iter().filter(|&&step| step > 1.5 * expected).count();
+    let places = if gaps == 1 {
+        "1 place"
+    } else {
+        &format!("{gaps} places")
+    };
+    Ok((gaps > 0).then(|| {
+        format!(
+            "`{}`: frames are missing at {places}, the longest gap is {longest:.3} s before row {row}; the clip takes \
+             frames as even in time",
+            path.display()
+        )
+    }))
+}
+
 /// A name that can be a file name (`[A-Za-z0-9._+-]{1,128}`): every other character becomes `_`.
 #[must_use]
 pub fn safe_name(name: &str) -> String {
@@ -252,6 +291,32 @@ mod tests {
                 .unwrap_err()
                 .message
                 .contains("gripper is 1.00001 at row 2")
+        );
+    }
+
+    #[test]
+    fn times_are_seconds_and_gaps_are_told() {
+        let path = Path::new("joints.csv");
+        let every = |step: f64| (0..20).map(|row| f64::from(row) * step).collect::<Vec<_>>();
+        assert_eq!(times(&every(1.0 / 15.0), 15.0, path).unwrap(), None);
+        assert_eq!(times(&[], 15.0, path).unwrap(), None);
+        assert_eq!(times(&[3.0], 15.0, path).unwrap(), None);
+        for (step, hint) in [
+            (66.7, "milliseconds"),
+            (66_667.0, "microseconds"),
+            (66_666_667.0, "nanoseconds"),
+            (0.1, "correct `fps`"),
+        ] {
+            let error = times(&every(step), 15.0, path).unwrap_err();
+            assert!(error.message.contains("the times step by"), "{error}");
+            assert!(error.hint.as_deref().unwrap().contains(hint), "{error:?}");
+        }
+        let mut gap = every(1.0 / 15.0);
+        gap.remove(7);
+        let told = times(&gap, 15.0, path).unwrap().unwrap();
+        assert!(
+            told.contains("1 place, the longest gap is 0.133 s before row 7"),
+            "{told}"
         );
     }
 

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::record::{Record, SchemaId};
-use rogs_schemas::records::clip::Clip;
+use rogs_schemas::records::clip::{CameraMount, Clip};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_worker::{Context, Stage, StageError, StageResult};
 
@@ -56,8 +56,27 @@ impl Stage for RobotMapsStage {
         for warning in warnings {
             context.warn(warning);
         }
-        if maps.maps.iter().all(|map| map.support.iter().all(|&value| value == 0)) {
+        let unseen = |camera: Option<u32>| {
+            let mut of_camera = maps
+                .maps
+                .iter()
+                .filter(|map| camera.is_none_or(|camera| map.camera == camera));
+            of_camera.all(|map| map.support.iter().all(|&value| value == 0))
+        };
+        if unseen(None) {
             context.warn("no source image shows any robot: check the calibration and the robot model");
+        } else {
+            // A camera on the hand may well see none; one that stands beside the robot does.
+            for index in clip.source_cameras() {
+                let camera = &clip.cameras[index as usize];
+                if matches!(camera.mount, CameraMount::Fixed { .. }) && unseen(Some(index)) {
+                    context.warn(format!(
+                        "camera `{}` never sees the robot: is its pose camera-to-base (not base-to-camera), in metres, with \
+                         x right, y down, z forward?",
+                        camera.id
+                    ));
+                }
+            }
         }
         context.write(&maps)
     }

@@ -112,7 +112,22 @@ pub(super) fn parse(json: &[u8], data_bytes: usize) -> Result<Header, String> {
         let entry = entry(&raw, data_bytes).map_err(|reason| format!("the tensor `{name}` {reason}"))?;
         tensors.insert(name, entry);
     }
+    refuse_overlap(&tensors)?;
     Ok((tensors, metadata))
+}
+
+/// Two tensors that share bytes: the format forbids it, and a change of one would change the other.
+fn refuse_overlap(tensors: &BTreeMap<String, TensorEntry>) -> Result<(), String> {
+    let mut ranges: Vec<(usize, usize, &str)> = tensors
+        .iter()
+        .filter(|(_, entry)| entry.bytes > 0)
+        .map(|(name, entry)| (entry.start, entry.start + entry.bytes, name.as_str()))
+        .collect();
+    ranges.sort_unstable();
+    match ranges.windows(2).find(|pair| pair[1].0 < pair[0].1) {
+        Some(pair) => Err(format!("the tensors `{}` and `{}` overlap", pair[0].2, pair[1].2)),
+        None => Ok(()),
+    }
 }
 
 fn entry(raw: &RawEntry, data_bytes: usize) -> Result<TensorEntry, String> {

@@ -12,6 +12,7 @@ mod plan;
 mod query;
 mod render;
 mod run;
+mod shell;
 mod status;
 mod synth;
 mod table;
@@ -54,8 +55,9 @@ enum Command {
     Inspect(inspect::Args),
     Fk(fk::Args),
     Doctor(doctor::Args),
-    /// JSON schema of the manifest, for editors.
-    Schema,
+    Schema(shell::SchemaArgs),
+    Completions(shell::CompletionsArgs),
+    Man(shell::ManArgs),
 }
 
 pub(crate) fn run(command_line: CommandLine) -> anyhow::Result<ExitCode> {
@@ -80,9 +82,8 @@ pub(crate) fn run(command_line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Inspect(args) => inspect::run(&args),
         Command::Fk(args) => fk::run(&args),
         Command::Doctor(args) => doctor::run(&args),
-        Command::Schema => {
-            crate::output::json(&rogs_orchestrator::manifest::Manifest::json_schema())?;
-            Ok(ExitCode::SUCCESS)
-        }
+        Command::Schema(args) => shell::schema(&args),
+        Command::Completions(args) => shell::completions(&args),
+        Command::Man(args) => shell::man(&args),
     }
 }

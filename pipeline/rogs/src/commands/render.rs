@@ -123,12 +123,13 @@ struct Rendered {
 struct Scene {
     /// A field's have their displacement in metres as extra channels where it is asked for.
     gaussians: Gaussians,
-    /// Files made of the scene as a whole.
-    files: Vec<PathBuf>,
     time: Option<f64>,
     units_per_metre: f64,
     recon_from_base: Pose<Recon, Base>,
 }
+
+/// Writes a scene to a file.
+type WritePly<'a> = dyn Fn(&Path) -> anyhow::Result<()> + 'a;
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     if args
@@ -151,12 +152,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         let recon_from_base = Pose::from_matrix4(&IDENTITY)?;
         let scene = Scene {
             gaussians: scene.gaussians,
-            files: Vec::new(),
             time: None,
             units_per_metre: 1.0,
             recon_from_base,
         };
-        return render_scene(&scene, &args.view);
+        return render_scene(&scene, &args.view, None);
     }
     let (field, _) = read_record::<Field>(&args.scene)?;
     let mut stored = field.slices.iter().map(|slice| slice.time);
@@ -181,7 +181,7 @@ pub(crate) fn render_field(
     time: f64,
     view: &ViewArgs,
 ) -> anyhow::Result<ExitCode> {
-    // Before anything is written.
+    // A field takes long to read: a camera file with a mistake is told first.
     read_cameras(&view.camera)?;
     RasterDevice::open(&view.device)?;
     let refinement = match refinement {
@@ -192,17 +192,6 @@ pub(crate) fn render_field(
     if let Some(refinement) = &refinement {
         timed = timed.with_refinement(refinement)?;
     }
-    let mut files = Vec::new();
-    if view.ply {
-        let axes = match view.axes {
-            AxesArg::Recon => Axes::Recon,
-            AxesArg::Base => Axes::Base,
-        };
-        make_folder(&view.out)?;
-        let path = view.out.join("field.ply");
-        export_field_in(&timed, time, axes, &path)?;
-        files.push(path);
-    }
     let first = field.slices.first().map_or(time, |slice| slice.time);
     let since = view.since.unwrap_or(first);
     let scene = Scene {
@@ -211,31 +200,50 @@ pub(crate) fn render_field(
         } else {
             timed.gaussians(time)?
         },
-        files,
         time: Some(time),
         units_per_metre: rogs_schemas::units::UNITS_PER_METRE,
         recon_from_base: Pose::from_rigid(&field.recon_from_base)?,
     };
-    render_scene(&scene, view)
+    let ply = |path: &Path| -> anyhow::Result<()> {
+        let axes = match view.axes {
+            AxesArg::Recon => Axes::Recon,
+            AxesArg::Base => Axes::Base,
+        };
+        Ok(export_field_in(&timed, time, axes, path)?)
+    };
+    render_scene(&scene, view, view.ply.then_some(&ply))
 }
 
 fn make_folder(path: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(path).with_context(|| format!("making `{}`", path.display()))
 }
 
-fn render_scene(scene: &Scene, args: &ViewArgs) -> anyhow::Result<ExitCode> {
+/// Renders a scene from all cameras; `ply` writes the scene as a whole. Nothing is written before all that was asked for
+/// has been understood.
+fn render_scene(scene: &Scene, args: &ViewArgs, ply: Option<&WritePly<'_>>) -> anyhow::Result<ExitCode> {
     let cameras = read_cameras(&args.camera)?;
     let device = RasterDevice::open(&args.device)?;
-    make_folder(&args.out)?;
     let views: Vec<(Pose<Recon, CameraFrame>, Camera)> = cameras
         .iter()
         .map(|spec| camera(spec, scene))
         .collect::<anyhow::Result<_>>()?;
+    make_folder(&args.out)?;
+    let whole = match ply {
+        Some(write) => {
+            let path = args.out.join("field.ply");
+            write(&path)?;
+            Some(path)
+        }
+        None => None,
+    };
     let mut rendered = Vec::new();
     // A view at a time: images of many large views would not fit in memory together.
     for (spec, (recon_from_camera, camera)) in cameras.iter().zip(views) {
         let views = device.render_views(&scene.gaussians, &[camera], &RasterConfig::default())?;
-        let view = views.into_iter().next().context("one view was asked for, none was rendered")?;
+        let view = views
+            .into_iter()
+            .next()
+            .context("one view was asked for, none was rendered")?;
         let mut files = write(args, spec, &view, scene.units_per_metre)?;
         if args.npz {
             let path = args.out.join(format!("{}.npz", spec.name));
@@ -255,12 +263,12 @@ fn render_scene(scene: &Scene, args: &ViewArgs) -> anyhow::Result<ExitCode> {
     if args.json {
         // One value per camera, as ever; the files of the scene as a whole stand with the first.
         if let Some(first) = rendered.first_mut() {
-            first.files.splice(0..0, scene.files.iter().cloned());
+            first.files.splice(0..0, whole);
         }
         output::json(&rendered)?;
         return Ok(ExitCode::SUCCESS);
     }
-    for file in &scene.files {
+    if let Some(file) = &whole {
         output::text(&file.display().to_string())?;
     }
     for view in &rendered {
@@ -314,6 +322,9 @@ fn camera(spec: &CameraSpec, scene: &Scene) -> anyhow::Result<(Pose<Recon, Camer
     };
     let pose = recon_from_camera.to_rigid();
     let camera = Camera::from_world_pose(spec.width, spec.height, &spec.intrinsics, &pose, scene.units_per_metre);
+    camera
+        .validate()
+        .with_context(|| format!("camera `{}` cannot be rendered", spec.name))?;
     Ok((recon_from_camera, camera))
 }
 

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use rogs_orchestrator::executor::RunSummary;
 use rogs_orchestrator::programs::StagePrograms;
-use rogs_orchestrator::{Interrupts, Prepared};
+use rogs_orchestrator::{Exit, Interrupts, Prepared};
 use serde::Serialize;
 
 use crate::output;
@@ -95,6 +95,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         output::json(&outcome)?;
     } else {
         output::text(&describe(&outcome))?;
+    }
+    if outcome.summary.exit == Exit::Stopped {
+        output::note(&format!(
+            "stopped; nothing that is done is lost. Go on with: rogs run {}",
+            args.manifest.display()
+        ));
     }
     Ok(ExitCode::from(outcome.summary.exit.code()))
 }

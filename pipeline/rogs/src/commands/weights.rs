@@ -44,6 +44,9 @@ enum What {
         /// Leave out tensors that the configuration does not know, instead of failing.
         #[arg(long)]
         drop_unexpected: bool,
+        /// Print one JSON value: what was written.
+        #[arg(long)]
+        json: bool,
     },
     /// Writes a checkpoint with seeded random weights: right names and shapes, nothing learned.
     Generate {
@@ -59,6 +62,9 @@ enum What {
         /// How numbers are stored.
         #[arg(long, value_enum, default_value_t = Numbers::F32)]
         numbers: Numbers,
+        /// Print one JSON value: what was written.
+        #[arg(long)]
+        json: bool,
     },
     /// Folds the low-rank updates of a checkpoint into its weights.
     Merge {
@@ -70,6 +76,9 @@ enum What {
         /// How numbers are stored.
         #[arg(long, value_enum, default_value_t = Numbers::F32)]
         numbers: Numbers,
+        /// Print one JSON value: what was written.
+        #[arg(long)]
+        json: bool,
     },
     /// Names, shapes and metadata of a safetensors file.
     List {
@@ -127,6 +136,7 @@ pub(crate) fn run(args: Args) -> anyhow::Result<ExitCode> {
             numbers,
             provenance,
             drop_unexpected,
+            json,
         } => {
             if let Ok(model) = ReleasedModel::by_name(&configuration) {
                 let request = ReleasedImport {
@@ -138,7 +148,11 @@ pub(crate) fn run(args: Args) -> anyhow::Result<ExitCode> {
                     drop_unexpected,
                 };
                 let written = import_released(&request)?;
-                output::text(&format!("{written} tensors written to `{}`", out.display()))?;
+                if json {
+                    output::json(&serde_json::json!({ "out": out, "tensors": written }))?;
+                } else {
+                    output::text(&format!("{written} tensors written to `{}`", out.display()))?;
+                }
                 return Ok(ExitCode::SUCCESS);
             }
             let request = ImportRequest {
@@ -150,19 +164,26 @@ pub(crate) fn run(args: Args) -> anyhow::Result<ExitCode> {
                 drop_unexpected,
             };
             let report = import_stage1(&request)?;
-            output::text(&format!(
-                "{} tensors written to `{}` ({:?} file, {} start from a seed)",
-                report.written,
-                out.display(),
-                report.origin,
-                report.fresh.len()
-            ))?;
+            let origin = format!("{:?}", report.origin);
+            if json {
+                output::json(&serde_json::json!({
+                    "out": out, "tensors": report.written, "origin": origin, "from_a_seed": report.fresh,
+                }))?;
+            } else {
+                output::text(&format!(
+                    "{} tensors written to `{}` ({origin} file, {} start from a seed)",
+                    report.written,
+                    out.display(),
+                    report.fresh.len()
+                ))?;
+            }
         }
         What::Generate {
             out,
             configuration,
             seed,
             numbers,
+            json,
         } => {
             generate_stage1(
                 &out,
@@ -171,14 +192,27 @@ pub(crate) fn run(args: Args) -> anyhow::Result<ExitCode> {
                 numbers.into(),
                 true,
             )?;
-            output::text(&format!(
-                "`{}`: seeded weights of `{configuration}`, not trained",
-                out.display()
-            ))?;
+            if json {
+                output::json(&serde_json::json!({ "out": out, "configuration": configuration, "seed": seed }))?;
+            } else {
+                output::text(&format!(
+                    "`{}`: seeded weights of `{configuration}`, not trained",
+                    out.display()
+                ))?;
+            }
         }
-        What::Merge { input, out, numbers } => {
+        What::Merge {
+            input,
+            out,
+            numbers,
+            json,
+        } => {
             merge_lora(&input, &out, numbers.into())?;
-            output::text(&format!("merged into `{}`", out.display()))?;
+            if json {
+                output::json(&serde_json::json!({ "out": out }))?;
+            } else {
+                output::text(&format!("merged into `{}`", out.display()))?;
+            }
         }
         What::List { file, json } => list(&file, json)?,
         What::Verify {

@@ -62,7 +62,7 @@ pub(crate) fn open(root: &Path, calibration: Option<&Calibration>) -> StageResul
         return Err(wrong(&path, format!("two cameras are named `{}`", camera.id)));
     }
     let frames = episode.frame_count;
-    let states = read_states(root, &path, &episode.robot, frames)?;
+    let (states, warnings) = read_states(root, &path, &episode.robot, frames, episode.fps)?;
     let cameras: StageResult<Vec<SourceCamera>> = episode
         .cameras
         .into_iter()
@@ -87,7 +87,7 @@ pub(crate) fn open(root: &Path, calibration: Option<&Calibration>) -> StageResul
         states,
         tracks,
         cameras_chosen: false,
-        warnings: Vec::new(),
+        warnings,
     })
 }
 
@@ -186,8 +186,14 @@ fn read_trajectory(path: &Path, frames: u32) -> StageResult<SourceMount> {
     Ok(SourceMount::Trajectory(poses?))
 }
 
-/// The table of joint and gripper states.
-fn read_states(root: &Path, json: &Path, robot: &EpisodeRobot, frames: u32) -> StageResult<States> {
+/// The table of joint and gripper states, and what is odd about its times.
+fn read_states(
+    root: &Path,
+    json: &Path,
+    robot: &EpisodeRobot,
+    frames: u32,
+    fps: f64,
+) -> StageResult<(States, Vec<String>)> {
     let path = inside(root, &robot.states, json)?;
     let text = read_text(&path, MAX_CSV)?;
     let mut lines = text.trim_start_matches('\u{feff}').lines();
@@ -211,7 +217,7 @@ fn read_states(root: &Path, json: &Path, robot: &EpisodeRobot, frames: u32) -> S
         positions: Vec::new(),
         gripper: Vec::new(),
     };
-    let mut before = f64::NEG_INFINITY;
+    let mut times: Vec<f64> = Vec::new();
     for (row, line) in lines.filter(|line| !line.trim().is_empty()).enumerate() {
         if row >= frames as usize {
             return Err(wrong(
@@ -241,10 +247,10 @@ fn read_states(root: &Path, json: &Path, robot: &EpisodeRobot, frames: u32) -> S
         states.gripper.push(number(gripper_column)?);
         if let Some(column) = time_column {
             let time = number(column)?;
-            if time.is_nan() || time <= before {
+            if !time.is_finite() || times.last().is_some_and(|&before| time <= before) {
                 return Err(wrong(&path, format!("the time {time} at row {row} does not ascend")));
             }
-            before = time;
+            times.push(time);
         }
     }
     if states.gripper.len() != frames as usize {
@@ -257,7 +263,8 @@ fn read_states(root: &Path, json: &Path, robot: &EpisodeRobot, frames: u32) -> S
         ));
     }
     checks::states(&states, "row", &path)?;
-    Ok(states)
+    let warnings = checks::times(&times, fps, &path)?;
+    Ok((states, warnings.into_iter().collect()))
 }
 
 fn read_tracks(root: &Path, json: &Path, tracks: &EpisodeTracks, frames: u32) -> StageResult<SourceTracks> {

@@ -1,0 +1,111 @@
+//! The JSON schema of manifests that editors complete and check against: the manifest's own tables, and in them the
+//! parameters of every stage as its program describes them.
+
+use serde_json::{Map, Value, json};
+
+use crate::error::Result;
+use crate::manifest::{Manifest, STAGES};
+use crate::programs::StagePrograms;
+
+/// Name that the published schema goes by.
+const TITLE: &str = "rogs run manifest";
+
+/// Tables that hold parameters of stages besides those at the top: definition, and whether of every stage or of one.
+const TABLES: [(&str, &[&str]); 4] = [
+    ("Variant", &STAGES),
+    ("Episode", &["ingest"]),
+    ("Input", &["ingest"]),
+    ("Prediction", &["score"]),
+];
+
+/// The schema of manifests for these stage programs.
+///
+/// # Errors
+/// When a stage program cannot be asked.
+pub fn manifest_schema(programs: &StagePrograms) -> Result<Value> {
+    let mut schema = Manifest::json_schema();
+    let mut definitions = Map::new();
+    for stage in STAGES {
+        let params = programs.describe(stage, &json!({}))?.params_schema;
+        add_stage(&mut definitions, stage, params);
+    }
+    let reference = |stage: &str, description: Value| {
+        // Words beside a reference are allowed; the stage's own go on saying what the table is.
+        json!({"$ref": format!("#/$defs/{stage}"), "description": description})
+    };
+    let mut fill = |place: &str, stages: &[&str]| {
+        for stage in stages {
+            if let Some(table) = schema.pointer_mut(&format!("{place}/properties/{stage}")) {
+                let description = table.get("description").cloned().unwrap_or_default();
+                *table = reference(stage, description);
+            }
+        }
+    };
+    fill("", &STAGES);
+    for (definition, stages) in TABLES {
+        fill(&format!("/$defs/{definition}"), stages);
+    }
+    if let Some(all) = schema.get_mut("$defs").and_then(Value::as_object_mut) {
+        all.extend(definitions);
+    }
+    if let Some(top) = schema.as_object_mut() {
+        top.insert("title".to_owned(), TITLE.into());
+    }
+    Ok(schema)
+}
+
+/// Puts the schema of a stage's parameters under the stage's name, with what it refers to under names of its own.
+fn add_stage(definitions: &mut Map<String, Value>, stage: &str, mut params: Value) {
+    rename_references(&mut params, stage);
+    let Some(table) = params.as_object_mut() else { return };
+    table.remove("$schema");
+    // A misspelt parameter is an error of the plan, so the editor may say so too.
+    table.insert("additionalProperties".to_owned(), false.into());
+    if let Some(Value::Object(own)) = table.remove("$defs") {
+        definitions.extend(own.into_iter().map(|(name, value)| (format!("{stage}.{name}"), value)));
+    }
+    definitions.insert(stage.to_owned(), params);
+}
+
+fn rename_references(value: &mut Value, stage: &str) {
+    match value {
+        Value::Object(table) => {
+            for (key, value) in table.iter_mut() {
+                match value {
+                    Value::String(text) if key == "$ref" => {
+                        if let Some(name) = text.strip_prefix("#/$defs/") {
+                            *text = format!("#/$defs/{stage}.{name}");
+                        }
+                    }
+                    other => rename_references(other, stage),
+                }
+            }
+        }
+        Value::Array(items) => items.iter_mut().for_each(|item| rename_references(item, stage)),
+        _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn definitions_of_stages_keep_apart() {
+        let params = |kind: &str| {
+            json!({"$schema": "x", "type": "object", "properties": {"a": {"anyOf": [{"$ref": "#/$defs/A"}, {"type": "null"}]}},
+                "$defs": {"A": {"type": kind}}})
+        };
+        let mut definitions = Map::new();
+        add_stage(&mut definitions, "lift", params("string"));
+        add_stage(&mut definitions, "score", params("number"));
+        assert_eq!(definitions["lift.A"], json!({"type": "string"}));
+        assert_eq!(definitions["score.A"], json!({"type": "number"}));
+        assert_eq!(
+            definitions["score"]["properties"]["a"]["anyOf"][0]["$ref"],
+            "#/$defs/score.A"
+        );
+        assert_eq!(definitions["lift"]["additionalProperties"], false);
+        assert!(definitions["lift"].get("$schema").is_none());
+    }
+}

@@ -1,0 +1,566 @@
+//! What scripts rely on: one JSON value on standard output with `--json`, exit codes, streams, completions, manual pages,
+//! the schema for editors, and plans that other engines run.
+
+mod support;
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use support::{ROGS, Workspace};
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// All commands, as the manual pages name them: `rogs-weights-list`.
+fn commands() -> BTreeSet<String> {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("man");
+    let output = Command::new(ROGS)
+        .args(["man", "--json", "--out"])
+        .arg(&out)
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let files: Vec<std::path::PathBuf> = serde_json::from_slice(&output.stdout).unwrap();
+    let names: BTreeSet<String> = files
+        .iter()
+        .map(|file| file.file_stem().unwrap().to_string_lossy().into_owned())
+        .collect();
+    for file in &files {
+        let page = std::fs::read_to_string(file).unwrap();
+        assert!(page.contains(".TH ") && page.contains(".SH NAME"), "{}", file.display());
+    }
+    assert!(
+        std::fs::read_to_string(out.join("rogs-run.1"))
+            .unwrap()
+            .contains("same bytes")
+    );
+    names
+}
+
+/// The commands that only group others.
+const GROUPS: [&str; 2] = ["rogs", "rogs-weights"];
+
+/// Camera file with one view in the base frame.
+const CAMERA: &str = r#"{"name": "view", "width": 56, "height": 42, "intrinsics": {"fx": 30, "fy": 30, "cx": 28, "cy": 21},
+    "recon_from_camera": [[1,0,0,0], [0,1,0,0], [0,0,1,0], [0,0,0,1]]}"#;
+
+#[test]
+fn every_command_prints_one_json_value_when_asked() {
+    let workspace = Workspace::small(1);
+    workspace.manifest("other.toml", "other");
+    workspace.write("camera.json", CAMERA);
+    workspace.write("joints.csv", "panda_joint1\n0.1\n");
+    let episode = json!({"episode_id": "ILIAD+abc+2023-01-01-10h-00m-00s", "lab": null, "scene": "s", "clip_name": "clip_001",
+        "train_or_val": false, "stereo": true, "frames": 33, "calibration": true, "gripper_range": [0.0, 1.0]});
+    workspace.write("episodes.json", &json!([episode]).to_string());
+    let split = json!({"domain": "droid", "seed": 42, "test_percentage": 0.1,
+        "test_clip_keys": ["ILIAD+abc+2023-01-01-10h-00m-00s-0:33"]});
+    workspace.write("split.json", &split.to_string());
+
+    let mut seen = BTreeSet::new();
+    let mut ask = |code: i32, arguments: &[&str]| -> Value {
+        let mut name = format!("rogs-{}", arguments[0]);
+        if arguments[0] == "weights" {
+            name = format!("{name}-{}", arguments[1]);
+        }
+        seen.insert(name);
+        let output = workspace.rogs(&[arguments, &["--json"]].concat());
+        let called = arguments.join(" ");
+        assert_eq!(output.status.code(), Some(code), "{called}: {}", text(&output.stderr));
+        let value = serde_json::from_slice(&output.stdout)
+            .unwrap_or_else(|error| panic!("{called}: no JSON ({error}): {}", text(&output.stdout)));
+        assert!(!text(&output.stderr).contains("panicked"), "{called}");
+        value
+    };
+    let estimate = ask(0, &["plan", "manifest.toml"]);
+    assert_eq!((&estimate["clips"], &estimate["seconds"]), (&json!(1), &Value::Null));
+    let dry = ask(0, &["submit", "manifest.toml", "--dry-run"]);
+    assert_eq!((&dry["ids"], dry["scripts"].as_array().unwrap().len()), (&json!([]), 7));
+    assert!(!workspace.path("run").exists(), "a dry run writes nothing");
+    let run = ask(0, &["run", "manifest.toml"]);
+    assert_eq!(run["units"]["made"], 7);
+    assert_eq!(ask(0, &["plan", "manifest.toml", "--explain"]), json!([]));
+    let exported = ask(0, &["plan", "other.toml", "--emit", "jsonl"]);
+    assert_eq!(
+        (&exported["units"], exported["commands"].as_array().unwrap().len()),
+        (&json!(7), 6)
+    );
+    assert_eq!(ask(0, &["status", "run"])["clips"]["done"], 1);
+    assert_eq!(ask(75, &["status", "other"])["clips"]["done"], 0);
+    assert_eq!(ask(0, &["verify", "run"])["good"], 7);
+    assert!(ask(0, &["report", "run"])["report"].is_string());
+    assert!(ask(0, &["report", "run", "--table", "main"]).is_object());
+    assert!(ask(0, &["table", "run"]).is_object());
+    let clip = std::fs::read_dir(workspace.path("run/clips"))
+        .unwrap()
+        .next()
+        .unwrap()
+        .unwrap();
+    let clip = clip.file_name().into_string().unwrap();
+    assert_eq!(ask(0, &["logs", "run", &clip]).as_array().unwrap().len(), 7);
+    assert_eq!(ask(0, &["diff", "run", "run"])["same"], 7);
+    assert_eq!(ask(1, &["diff", "run", "other"])["only_a"].as_array().unwrap().len(), 7);
+    assert_eq!(ask(0, &["gc", "run", "--dry-run"])["files"], json!([]));
+
+    let field = format!("run/clips/{clip}/field-1.r4c");
+    assert_eq!(ask(0, &["inspect", &field])["schema"], "rogs.field");
+    let view = ["--camera", "camera.json", "--out", "pictures"];
+    assert_eq!(
+        ask(0, &[&["render", &field], &view[..]].concat())
+            .as_array()
+            .unwrap()
+            .len(),
+        1
+    );
+    let query = [
+        "query",
+        &field,
+        "--time",
+        "0.37",
+        "--weights",
+        "data/compact-stage1.safetensors",
+    ];
+    assert_eq!(ask(0, &[&query, &view[..]].concat()).as_array().unwrap().len(), 1);
+    let images = format!("data/episodes/{clip}/wrist");
+    assert_eq!(
+        ask(0, &["metrics", &images, &images])["pairs"]
+            .as_array()
+            .unwrap()
+            .len(),
+        17
+    );
+    assert_eq!(
+        ask(0, &["fk", "data/robot/panda_synth.urdf", "--joints", "joints.csv"])
+            .as_array()
+            .unwrap()
+            .len(),
+        1
+    );
+    let cohort = [
+        "cohort",
+        "--episodes",
+        "episodes.json",
+        "--manifest",
+        "split.json",
+        "--take",
+        "1",
+    ];
+    assert_eq!(ask(0, &cohort)["counts"]["selected"], 1);
+    assert_eq!(
+        ask(
+            0,
+            &[
+                "synth",
+                "--out",
+                "data",
+                "--episodes",
+                "1",
+                "--seed",
+                "11",
+                "--size",
+                "56x42",
+                "--frames",
+                "17"
+            ]
+        )["dataset"]["written"],
+        0
+    );
+
+    let weights = "data/compact-stage1.safetensors";
+    assert!(ask(0, &["weights", "list", weights])["elements"].as_u64().unwrap() > 1_000_000);
+    assert!(ask(0, &["weights", "verify", weights]).is_object());
+    assert!(!ask(0, &["weights", "fetch"]).as_array().unwrap().is_empty());
+    assert_eq!(
+        ask(
+            0,
+            &["weights", "generate", "--out", "seeded.safetensors", "--numbers", "f16"]
+        )["seed"],
+        73
+    );
+    let import = [
+        "weights",
+        "import",
+        weights,
+        "--out",
+        "imported.safetensors",
+        "--configuration",
+        "compact",
+    ];
+    assert!(ask(0, &import)["tensors"].as_u64().unwrap() > 100);
+    assert!(ask(0, &["doctor"]).as_array().unwrap().len() >= 5);
+    assert!(ask(0, &["schema"])["properties"].is_object());
+    assert!(
+        ask(0, &["completions", "bash"])["script"]
+            .as_str()
+            .unwrap()
+            .contains("complete")
+    );
+    assert!(ask(0, &["man", "--out", "man"]).as_array().unwrap().len() > 20);
+
+    // A merge needs a file with low-rank updates; the demo takes long: they have tests of their own.
+    seen.extend(["rogs-weights-merge", "rogs-demo"].map(String::from));
+    let all: BTreeSet<String> = commands()
+        .into_iter()
+        .filter(|name| !GROUPS.contains(&name.as_str()))
+        .collect();
+    assert_eq!(seen, all, "a command without a check of its JSON");
+}
+
+#[test]
+#[ignore = "long: the demo"]
+fn the_demo_prints_one_json_value() {
+    let workspace = Workspace::small(1);
+    let (code, value) = workspace.rogs_json(&["demo", "--out", "demo", "--episodes", "1", "--json"]);
+    assert_eq!(code, Some(0), "{value:#}");
+    assert!(value["table"].is_object() && Path::new(value["report"].as_str().unwrap()).exists());
+}
+
+/// Checks an exit code and that what is said lies where `docs/exit-codes.md` says.
+fn ends(output: &Output, code: i32, said: &str) {
+    let stderr = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(code), "{stderr}");
+    assert!(stderr.contains(said), "`{said}` is not in: {stderr}");
+    if [2, 4, 70].contains(&code) {
+        assert!(output.stdout.is_empty(), "{}", text(&output.stdout));
+        assert!(stderr.starts_with("error: "), "{stderr}");
+    }
+}
+
+#[test]
+fn exit_codes_are_those_of_the_table() {
+    let workspace = Workspace::small(1);
+    // Two stages are enough here.
+    let manifest = std::fs::read_to_string(workspace.path("manifest.toml")).unwrap();
+    let short = manifest.replacen("[run]\n", "[run]\nstages = [\"robot-maps\"]\n", 1);
+    workspace.write("manifest.toml", &short);
+
+    // 2: wrong requests. Nothing is on standard output, also with `--json`.
+    ends(&workspace.rogs(&["statsu", "run"]), 2, "'status'");
+    ends(
+        &workspace.rogs(&["run", "manifest.toml", "--wrkers", "1"]),
+        2,
+        "'--workers'",
+    );
+    ends(&workspace.rogs(&["run", "missing.toml", "--json"]), 2, "missing.toml");
+    ends(&workspace.rogs(&["status", "nowhere", "--json"]), 2, "is no run folder");
+    workspace.write("typo.toml", &short.replace("height =", "hieght ="));
+    let typo = workspace.rogs(&["run", "typo.toml", "--json"]);
+    ends(&typo, 2, "unknown parameter `hieght` of `ingest`");
+    assert!(text(&typo.stderr).contains("typo.toml:") && text(&typo.stderr).contains("did you mean `height`?"));
+    ends(
+        &workspace.rogs(&["run", "manifest.toml", "--only", "nobody"]),
+        2,
+        "nobody",
+    );
+    workspace.write("no.r4c", "not a container");
+    ends(&workspace.rogs(&["inspect", "no.r4c"]), 2, "no.r4c");
+
+    // 70: the machine or the installation does not let the program go on.
+    std::fs::create_dir(workspace.path("empty")).unwrap();
+    ends(
+        &workspace.rogs(&["run", "manifest.toml", "--programs", "empty", "--json"]),
+        70,
+        "rogs-ingest",
+    );
+    workspace.write("file", "");
+    workspace.write("blocked.toml", &short.replace("/run\"", "/file/run\""));
+    ends(&workspace.rogs(&["run", "blocked.toml"]), 70, "file/run");
+
+    // 75: something is left, nothing failed. 0: all is done.
+    ends(
+        &workspace.rogs(&["plan", "manifest.toml", "--emit", "jsonl"]),
+        0,
+        "2 units",
+    );
+    assert_eq!(workspace.rogs(&["status", "run"]).status.code(), Some(75));
+    // 4: somebody works there.
+    let lock = rogs_orchestrator::lock::RunLock::acquire(&workspace.path("run")).unwrap();
+    ends(
+        &workspace.rogs(&["run", "manifest.toml", "--json"]),
+        4,
+        "is in use by process",
+    );
+    ends(&workspace.rogs(&["gc", "run"]), 4, "hint: ");
+    drop(lock);
+    ends(&workspace.rogs(&["run", "manifest.toml", "--no-report"]), 0, "");
+    assert_eq!(workspace.rogs(&["status", "run"]).status.code(), Some(0));
+
+    // 1: a check found something, or nothing could be done; standard output has the value all the same.
+    let episode = std::fs::read_dir(workspace.path("data/episodes"))
+        .unwrap()
+        .next()
+        .unwrap()
+        .unwrap()
+        .path();
+    let clip = workspace
+        .path("run/clips")
+        .join(episode.file_name().unwrap())
+        .join("robot.r4c");
+    let mut bytes = std::fs::read(&clip).unwrap();
+    bytes[70] ^= 1;
+    std::fs::write(&clip, bytes).unwrap();
+    let (code, found) = workspace.rogs_json(&["verify", "run", "--json"]);
+    assert_eq!((code, found["bad"].as_array().unwrap().len()), (Some(1), 1));
+    std::fs::remove_file(episode.join("joints.csv")).unwrap();
+    let (code, summary) = workspace.rogs_json(&["run", "manifest.toml", "--no-report", "--json"]);
+    assert_eq!((code, &summary["clips"]["failed"]), (Some(1), &json!(1)), "{summary:#}");
+    assert_eq!(workspace.rogs(&["status", "run"]).status.code(), Some(1));
+    // 3 is the end of `one_corrupt_episode_among_three`.
+}
+
+/// Waits for something that happens on any machine, however slow; the limit only turns a hang into a failure.
+fn wait_until(what: &str, mut happened: impl FnMut() -> bool) {
+    let start = Instant::now();
+    while !happened() {
+        assert!(start.elapsed() < Duration::from_secs(300), "waited in vain for {what}");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupted_run_ends_with_75_and_says_how_to_go_on() {
+    use std::os::unix::fs::PermissionsExt as _;
+
+    let workspace = Workspace::small(1);
+    std::fs::create_dir(workspace.path("programs")).unwrap();
+    // The worker of the second stage stands still until it is released.
+    for stage in ["ingest", "robot-maps", "conditioning"] {
+        let wait = match stage {
+            "robot-maps" => "touch held; while [ ! -e release ]; do sleep 0.02; done",
+            _ => ":",
+        };
+        let script =
+            format!("#!/bin/sh\nif [ \"$1\" = worker ]; then {wait}; fi\nexec '{ROGS}' stage {stage} \"$@\"\n");
+        workspace.write(&format!("programs/rogs-{stage}"), &script);
+        let path = workspace.path(&format!("programs/rogs-{stage}"));
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755)).unwrap();
+    }
+    let manifest = std::fs::read_to_string(workspace.path("manifest.toml")).unwrap();
+    workspace.write(
+        "manifest.toml",
+        &manifest.replacen("[run]\n", "[run]\nstages = [\"conditioning\"]\n", 1),
+    );
+    let child = Command::new(ROGS)
+        .args([
+            "run",
+            "manifest.toml",
+            "--programs",
+            "programs",
+            "--no-report",
+            "--json",
+        ])
+        .current_dir(workspace.path("."))
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    wait_until("the second stage", || workspace.path("held").exists());
+    let interrupt = format!("kill -s INT {}", child.id());
+    assert!(Command::new("sh").args(["-c", &interrupt]).status().unwrap().success());
+    workspace.write("release", "");
+    let output = child.wait_with_output().unwrap();
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(75), "{said}");
+    let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
+    // The clip in hand may have got to the end of its unit.
+    let units = |name: &str| summary["units"][name].as_u64().unwrap();
+    assert!(units("left") >= 1 && units("made") + units("left") == 3, "{summary:#}");
+    assert!(
+        said.contains("Go on with: rogs run manifest.toml"),
+        "it says how to go on: {said}"
+    );
+    let (code, summary) = workspace.rogs_json(&["run", "manifest.toml", "--no-report", "--json"]);
+    assert_eq!((code, &summary["clips"]["done"]), (Some(0), &json!(1)), "{summary:#}");
+    assert!(summary["units"]["up_to_date"].as_u64().unwrap() >= 1, "{summary:#}");
+}
+
+#[test]
+fn exported_lines_run_through_xargs_give_the_bytes_of_a_local_run() {
+    let workspace = Workspace::small(2);
+    workspace.manifest("exported.toml", "exported");
+    assert_eq!(
+        workspace.rogs(&["run", "manifest.toml", "--no-report"]).status.code(),
+        Some(0)
+    );
+    let output = workspace.rogs(&["plan", "exported.toml", "--emit", "jsonl", "--shards", "2"]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let lines = text(&output.stdout);
+    assert_eq!(lines.lines().count(), 12, "{lines}");
+    // A stage at a time, its shards side by side, as `docs/slurm.md` has it.
+    for stage in ["ingest", "robot-maps", "conditioning", "lift", "refine", "score"] {
+        let of_stage: Vec<&str> = lines
+            .lines()
+            .filter(|line| line.contains(&format!(" stage {stage} ")))
+            .collect();
+        assert_eq!(of_stage.len(), 2, "{stage}");
+        workspace.write("lines", &(of_stage.join("\n") + "\n"));
+        let status = Command::new("sh")
+            .args(["-c", "xargs -d '\\n' -n 1 -P 2 sh -c < lines"])
+            .current_dir(workspace.path("."))
+            .output()
+            .unwrap();
+        assert!(status.status.success(), "{stage}: {}", text(&status.stderr));
+    }
+    assert_eq!(workspace.rogs(&["status", "exported"]).status.code(), Some(0));
+    let (local, exported) = (workspace.outputs("run"), workspace.outputs("exported"));
+    assert_eq!(local.len(), 14);
+    assert!(local == exported, "an exported plan differs from a local run");
+    let (code, difference) = workspace.rogs_json(&["diff", "run", "exported", "--json"]);
+    assert_eq!((code, &difference["same"]), (Some(0), &json!(14)));
+}
+
+#[test]
+fn shells_complete_commands_and_options() {
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+        let output = Command::new(ROGS).args(["completions", shell]).output().unwrap();
+        let script = text(&output.stdout);
+        assert!(output.status.success(), "{shell}");
+        for word in ["explain", "no-report", "inspect", "weights"] {
+            assert!(script.contains(word), "{shell}: `{word}` is not completed");
+        }
+    }
+    // What bash itself says of its script.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rogs.bash");
+    std::fs::write(
+        &path,
+        Command::new(ROGS)
+            .args(["completions", "bash"])
+            .output()
+            .unwrap()
+            .stdout,
+    )
+    .unwrap();
+    let ask = format!(
+        "source '{}'; COMP_WORDS=(rogs pl); COMP_CWORD=1; _rogs rogs pl rogs; echo \"${{COMPREPLY[*]}}\"",
+        path.display()
+    );
+    let Ok(output) = Command::new("bash").args(["-c", &ask]).output() else {
+        eprintln!("skipped: no bash here");
+        return;
+    };
+    assert_eq!(text(&output.stdout).trim(), "plan", "{}", text(&output.stderr));
+    let output = Command::new(ROGS).args(["completions", "csh"]).output().unwrap();
+    ends(&output, 2, "bash");
+}
+
+#[test]
+fn the_published_schema_is_that_of_the_program_and_knows_every_parameter() {
+    let output = Command::new(ROGS).args(["schema", "manifest"]).output().unwrap();
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../manifests");
+    let file = root.join("manifest.schema.json");
+    if std::env::var_os("UPDATE_SNAPSHOTS").is_some() {
+        std::fs::write(&file, &output.stdout).unwrap();
+    }
+    let published = std::fs::read(&file).expect("manifests/manifest.schema.json; UPDATE_SNAPSHOTS=1 writes it");
+    let mut schema: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let mut published: Value = serde_json::from_slice(&published).unwrap();
+    // What is allowed must agree; words may be older.
+    without_words(&mut schema);
+    without_words(&mut published);
+    assert!(
+        published == schema,
+        "manifests/manifest.schema.json is old: UPDATE_SNAPSHOTS=1 cargo test --workspace --test command_line schema"
+    );
+    let mut references = 0;
+    every_reference(&schema, &mut |reference| {
+        references += 1;
+        let pointer = reference.strip_prefix('#').expect("within the file");
+        assert!(schema.pointer(pointer).is_some(), "`{reference}` leads nowhere");
+    });
+    assert!(references > 20);
+    assert_eq!(schema["properties"]["lift"]["$ref"], "#/$defs/lift");
+    assert_eq!(
+        schema["$defs"]["Variant"]["properties"]["robot-maps"]["$ref"],
+        "#/$defs/robot-maps"
+    );
+    for stage in ["ingest", "robot-maps", "conditioning", "lift", "refine", "score"] {
+        let output = Command::new(ROGS).args(["stage", stage, "describe"]).output().unwrap();
+        let description: Value = serde_json::from_slice(&output.stdout).unwrap();
+        for name in description["default_params"].as_object().unwrap().keys() {
+            assert!(schema["$defs"][stage]["properties"][name].is_object(), "{stage}.{name}");
+        }
+    }
+    // The examples keep to it: every table and key of theirs is known.
+    let mut checked = 0;
+    for entry in std::fs::read_dir(&root).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_none_or(|extension| extension != "toml") {
+            continue;
+        }
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(
+            text.starts_with("#:schema manifest.schema.json\n"),
+            "{}: editors find no schema",
+            path.display()
+        );
+        let manifest: toml::Value = toml::from_str(&text).unwrap();
+        known(&schema, &schema, &manifest, &path.display().to_string());
+        checked += 1;
+    }
+    assert!(checked >= 5);
+}
+
+/// Takes descriptions out, but not parameters of that name.
+fn without_words(value: &mut Value) {
+    match value {
+        Value::Object(table) => {
+            table.retain(|key, value| key != "description" || !value.is_string());
+            table.values_mut().for_each(without_words);
+        }
+        Value::Array(items) => items.iter_mut().for_each(without_words),
+        _ => {}
+    }
+}
+
+fn every_reference(value: &Value, visit: &mut dyn FnMut(&str)) {
+    match value {
+        Value::Object(table) => {
+            if let Some(Value::String(reference)) = table.get("$ref") {
+                visit(reference);
+            }
+            table.values().for_each(|value| every_reference(value, visit));
+        }
+        Value::Array(items) => items.iter().for_each(|item| every_reference(item, visit)),
+        _ => {}
+    }
+}
+
+/// Fails when a table has a key that its schema does not allow.
+fn known(root: &Value, schema: &Value, value: &toml::Value, place: &str) {
+    let mut schema = schema;
+    while let Some(reference) = schema["$ref"].as_str() {
+        schema = root.pointer(&reference[1..]).unwrap();
+    }
+    if let Some(choices) = schema["anyOf"].as_array() {
+        // An option: the other choice is null.
+        let Some(choice) = choices.iter().find(|choice| choice["type"] != "null") else {
+            return;
+        };
+        return known(root, choice, value, place);
+    }
+    match value {
+        toml::Value::Table(table) => {
+            for (key, value) in table {
+                let place = format!("{place}: {key}");
+                match schema["properties"].get(key) {
+                    Some(below) => known(root, below, value, &place),
+                    None => assert!(
+                        schema["additionalProperties"] != json!(false),
+                        "{place} is not in the schema"
+                    ),
+                }
+            }
+        }
+        toml::Value::Array(items) => items.iter().for_each(|item| known(root, &schema["items"], item, place)),
+        _ => {}
+    }
+}
