@@ -330,7 +330,8 @@ fn means_coverage_and_footnotes_of_the_main_table() {
         "{text}"
     );
     assert!(
-        text.contains("MoVieS, SoM: one scale factor") && text.contains("LPIPS: no LPIPS weights"),
+        text.contains("MoVieS, SoM: by the paper's protocol one scale factor")
+            && text.contains("LPIPS: no LPIPS weights"),
         "{text}"
     );
     assert!(text.contains("peak resident memory"), "{text}");

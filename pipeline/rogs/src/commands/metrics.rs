@@ -68,39 +68,45 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     }
     let number =
         |value: Option<f64>, digits: usize| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"));
-    let columns: [(&str, usize, fn(&PairScores) -> Option<f64>, Option<f64>, usize); 6] = [
-        ("PSNR", 3, |pair| pair.psnr, scores.psnr, scores.n.psnr),
-        ("SSIM", 4, |pair| pair.ssim, scores.ssim, scores.n.ssim),
-        ("LPIPS", 4, |pair| pair.lpips, scores.lpips, scores.n.lpips),
-        ("AbsRel", 4, |pair| pair.absrel, scores.absrel, scores.n.depth),
-        ("RMSE m", 4, |pair| pair.rmse_m, scores.rmse_m, scores.n.depth),
-        ("delta1", 4, |pair| pair.delta1, scores.delta1, scores.n.depth),
+    let column = |name, digits, value: fn(&PairScores) -> Option<f64>, mean, pairs| Column {
+        name,
+        digits,
+        value,
+        mean,
+        pairs,
+    };
+    let n = scores.n;
+    let columns = [
+        column("PSNR", 3, |pair| pair.psnr, scores.psnr, n.psnr),
+        column("SSIM", 4, |pair| pair.ssim, scores.ssim, n.ssim),
+        column("LPIPS", 4, |pair| pair.lpips, scores.lpips, n.lpips),
+        column("AbsRel", 4, |pair| pair.absrel, scores.absrel, n.depth),
+        column("RMSE m", 4, |pair| pair.rmse_m, scores.rmse_m, n.depth),
+        column("delta1", 4, |pair| pair.delta1, scores.delta1, n.depth),
     ];
     // Colours alone need no columns of depth, and the other way round.
     let colours = scores.pairs.iter().any(|pair| pair.psnr.is_some());
     let depth = scores.pairs.iter().any(|pair| pair.support_n.is_some());
-    let shown: Vec<_> = (columns.iter().enumerate())
-        .filter(|(index, _)| if *index < 3 { colours } else { depth })
-        .map(|(_, column)| column)
-        .collect();
+    let shown = if colours { 0 } else { 3 }..if depth { 6 } else { 3 };
+    let shown = &columns[shown];
     let mut text = format!("{:<40}", "image");
-    for (name, ..) in &shown {
-        let _ = write!(text, " {name:>9}");
+    for column in shown {
+        let _ = write!(text, " {:>9}", column.name);
     }
     for pair in &scores.pairs {
         let _ = write!(text, "\n{:<40}", pair.name);
-        for (_, digits, value, ..) in &shown {
-            let _ = write!(text, " {:>9}", number(value(pair), *digits));
+        for column in shown {
+            let _ = write!(text, " {:>9}", number((column.value)(pair), column.digits));
         }
     }
     if scores.pairs.len() > 1 {
         let _ = write!(text, "\n{:<40}", "mean");
-        for (_, digits, _, mean, _) in &shown {
-            let _ = write!(text, " {:>9}", number(*mean, *digits));
+        for column in shown {
+            let _ = write!(text, " {:>9}", number(column.mean, column.digits));
         }
         let _ = write!(text, "\n{:<40}", "pairs with a value");
-        for (.., count) in &shown {
-            let _ = write!(text, " {count:>9}");
+        for column in shown {
+            let _ = write!(text, " {:>9}", column.pairs);
         }
     }
     text.push('\n');
@@ -125,4 +131,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     }
     output::text(&text)?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// A column of the printed scores.
+struct Column {
+    name: &'static str,
+    digits: usize,
+    value: fn(&PairScores) -> Option<f64>,
+    mean: Option<f64>,
+    pairs: usize,
 }

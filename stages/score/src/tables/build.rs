@@ -240,7 +240,7 @@ impl<'a> Builder<'a> {
             .collect();
         if !scaled.is_empty() {
             notes.push(format!(
-                "{}: one scale factor per camera from recorded source stereo depth",
+                "{}: by the paper's protocol one scale factor per camera from recorded source stereo depth",
                 scaled.join(", ")
             ));
         }
