@@ -22,9 +22,22 @@ pub struct Linear {
     pub bias: Option<Tensor<1>>,
     /// A `[rank, in]` and B `[out, rank]` of an update that is being trained.
     pub update: Option<[Tensor<2>; 2]>,
+    /// The weight as the CPU kernel takes it, made when first needed.
+    packed: Arc<OnceLock<PackedWeight>>,
 }
 
 impl Linear {
+    /// A layer without a low-rank update.
+    #[must_use]
+    pub fn new(weight: Tensor<2>, bias: Option<Tensor<1>>) -> Self {
+        Self {
+            weight,
+            bias,
+            update: None,
+            packed: Arc::default(),
+        }
+    }
+
     /// Reads `weight` and `bias`, and the low-rank update `lora_A`, `lora_B` when the scope has one: it is folded into the
     /// weight unless it records gradients.
     ///
@@ -35,11 +48,7 @@ impl Linear {
         let bias = Some(scope.get("bias", [outputs])?);
         let rank = scope.shape("lora_A.weight").and_then(|shape| shape.first().copied());
         let Some(rank) = rank else {
-            return Ok(Self {
-                weight,
-                bias,
-                update: None,
-            });
+            return Ok(Self::new(weight, bias));
         };
         let update = [
             scope.get("lora_A.weight", [rank, inputs])?,
@@ -47,21 +56,19 @@ impl Linear {
         ];
         if update.iter().any(|part| part.is_autodiff()) {
             return Ok(Self {
-                weight,
-                bias,
                 update: Some(update),
+                ..Self::new(weight, bias)
             });
         }
-        Ok(Self {
-            weight: fold(weight, update),
-            bias,
-            update: None,
-        })
+        Ok(Self::new(fold(weight, update), bias))
     }
 
     /// Applies the layer to the last dimension. `[..., in] -> [..., out]`
     #[must_use]
     pub fn forward<const D: usize>(&self, input: Tensor<D>) -> Tensor<D> {
+        if self.update.is_none() && kernels::usable(&input) && kernels::usable(&self.weight) {
+            return packed_linear(input, &self.weight, &self.packed, self.bias.as_ref());
+        }
         let plain = linear(input.clone(), self.weight.clone(), self.bias.clone());
         match &self.update {
             Some([a, b]) => plain + linear(linear(input, a.clone(), None), b.clone(), None) * LORA_SCALE,
@@ -83,19 +90,7 @@ pub fn linear<const D: usize>(input: Tensor<D>, weight: Tensor<2>, bias: Option<
     let [outputs, inputs] = weight.dims();
     let rows = dims[..D - 1].iter().product::<usize>();
     if kernels::usable(&input) && kernels::usable(&weight) {
-        dims[D - 1] = outputs;
-        let bias = bias.as_ref().map_or_else(|| vec![0.0; outputs], values);
-        return kernels::read(input, weight, dims, move |input, weight| {
-            PackedWeight::new(weight, inputs, Precision::F32).apply(
-                input,
-                #[inline(always)]
-                |_, column, values| {
-                    for (value, bias) in values.iter_mut().zip(&bias[column..]) {
-                        *value += bias;
-                    }
-                },
-            )
-        });
+        return packed_linear(input, &weight, &Arc::default(), bias.as_ref());
     }
     let product = input.reshape([rows, inputs]).matmul(weight.transpose());
     dims[D - 1] = outputs;
@@ -104,6 +99,34 @@ pub fn linear<const D: usize>(input: Tensor<D>, weight: Tensor<2>, bias: Option<
         None => product,
     };
     sum.reshape(dims)
+}
+
+/// The same by the CPU kernel; the packed weight is made where there is none yet.
+fn packed_linear<const D: usize>(
+    input: Tensor<D>,
+    weight: &Tensor<2>,
+    packed: &Arc<OnceLock<PackedWeight>>,
+    bias: Option<&Tensor<1>>,
+) -> Tensor<D> {
+    packed.get_or_init(|| kernels::pack(weight, Precision::F32));
+    let (mut shape, packed) = (input.dims(), packed.clone());
+    let outputs = weight.dims()[0];
+    shape[D - 1] = outputs;
+    let bias = bias.map_or_else(|| vec![0.0; outputs], values);
+    kernels::read(input, weight.clone(), shape, move |input, _| {
+        let apply = |packed: &PackedWeight| {
+            packed.apply(
+                input,
+                #[inline(always)]
+                |_, column, values| {
+                    for (value, bias) in values.iter_mut().zip(&bias[column..]) {
+                        *value += bias;
+                    }
+                },
+            )
+        };
+        packed.get().map(apply).unwrap_or_default()
+    })
 }
 
 /// Layer normalisation over the last dimension, with its affine map.

@@ -203,11 +203,8 @@ impl DenseHead {
             let weight = scope
                 .get("weight", [channels[level], inputs, 1, 1])?
                 .reshape([channels[level], inputs]);
-            Ok(Linear {
-                weight,
-                bias: Some(scope.get("bias", [channels[level]])?),
-                update: None,
-            })
+            let bias = scope.get("bias", [channels[level]])?;
+            Ok(Linear::new(weight, Some(bias)))
         };
         let enlarge = |level: usize, kernel: usize| -> Result<(Tensor<4>, Tensor<1>)> {
             let scope = scope.child(format_args!("resize_layers.{level}"));
@@ -266,11 +263,7 @@ impl DenseHead {
                 .clone()
                 .matmul(offset.clone().unsqueeze_dim(1))
                 .reshape([outputs]);
-            Linear {
-                weight: weight * scale.clone().unsqueeze(),
-                bias: bias.map(|bias| bias + shift),
-                update: None,
-            }
+            Linear::new(weight * scale.clone().unsqueeze(), bias.map(|bias| bias + shift))
         }))
     }
 
