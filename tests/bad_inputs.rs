@@ -556,17 +556,27 @@ fn videos() {
         let (clip, _) = rogs_schemas::read_record::<rogs_schemas::records::clip::Clip>(&path).unwrap();
         clip.cameras[0].rgb.clone().unwrap()
     };
-    let (good, video, varies) = (rgb(GOOD), rgb("video"), rgb("varies"));
-    assert!(video == varies, "frames moved");
-    // Every frame is the one of its number, up to what the encoder lost.
+    // Every frame is the one of its number, up to what the encoder lost: one frame off fits much worse.
+    let good = rgb(GOOD);
     let area = good.len() / 17;
-    for frame in 0..17 {
-        let difference = |other: usize| -> u64 {
-            let (a, b) = (&video[frame * area..][..area], &good[other * area..][..area]);
-            a.iter().zip(b).map(|(a, b)| u64::from(a.abs_diff(*b))).sum()
+    for clip in ["video", "varies"] {
+        let frames = rgb(clip);
+        let difference = |shift: isize| -> u64 {
+            let of_frame = |frame: usize| -> u64 {
+                let other = frame.saturating_add_signed(shift).min(16);
+                let (a, b) = (&frames[frame * area..][..area], &good[other * area..][..area]);
+                a.iter().zip(b).map(|(a, b)| u64::from(a.abs_diff(*b))).sum()
+            };
+            (0..17).map(of_frame).sum()
         };
-        let nearest = (0..17).min_by_key(|&other| difference(other)).unwrap();
-        assert_eq!(nearest, frame);
+        let aligned = difference(0);
+        for shift in [-1, 1] {
+            let shifted = difference(shift);
+            assert!(
+                2 * shifted > 3 * aligned,
+                "{clip}: {aligned} aligned, {shifted} shifted by {shift}"
+            );
+        }
     }
 }
 
