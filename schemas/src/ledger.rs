@@ -34,6 +34,9 @@ pub struct Attempt {
     /// Peak resident memory of the worker process so far, bytes.
     #[serde(default)]
     pub peak_rss_bytes: u64,
+    /// Threads that computed; 0 when it is not known.
+    #[serde(default)]
+    pub threads: u32,
     /// Length of the output, bytes.
     #[serde(default)]
     pub output_bytes: u64,
@@ -149,6 +152,7 @@ mod tests {
             outcome: Outcome::Failed,
             seconds: BTreeMap::new(),
             peak_rss_bytes: 0,
+            threads: 0,
             output_bytes: 0,
             warnings: vec![],
             failure: Some(Failure {

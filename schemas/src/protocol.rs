@@ -59,6 +59,9 @@ pub enum Event {
         seconds: BTreeMap<String, f64>,
         /// Peak resident memory of the worker process so far, bytes.
         peak_rss_bytes: u64,
+        /// Threads that computed; 0 when an older worker does not say.
+        #[serde(default)]
+        threads: u32,
         /// Things a person should know that did not stop the job.
         warnings: Vec<String>,
     },

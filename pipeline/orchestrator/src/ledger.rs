@@ -280,6 +280,7 @@ mod tests {
             outcome,
             seconds: [("total".to_owned(), unix_ms as f64)].into(),
             peak_rss_bytes: 10 * unix_ms,
+            threads: 2,
             output_bytes: 100 * unix_ms,
             warnings: vec![],
             failure: (outcome == Outcome::Failed).then(|| Failure {

@@ -103,6 +103,7 @@ fn run_unit<S: Stage>(runner: &mut Runner<S>, unit: &PlannedUnit, counts: &mut C
         outcome: Outcome::Done,
         seconds: Default::default(),
         peak_rss_bytes: sys::peak_rss_bytes(),
+        threads: sys::threads(),
         output_bytes: std::fs::metadata(&job.output).map_or(0, |file| file.len()),
         warnings: Vec::new(),
         failure: None,

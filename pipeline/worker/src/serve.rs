@@ -131,6 +131,7 @@ pub(crate) fn serve<S: Stage>(grace: Duration) -> ExitCode {
                 job: job.job,
                 seconds: report.seconds,
                 peak_rss_bytes: sys::peak_rss_bytes(),
+                threads: sys::threads(),
                 warnings: report.warnings,
             },
             Err(StageError { code, message, hint }) => Event::Failed {

@@ -80,6 +80,11 @@ pub(crate) fn die_with_parent(parent: u32) -> bool {
     std::os::unix::process::parent_id() == parent
 }
 
+/// Threads that stages compute with.
+pub(crate) fn threads() -> u32 {
+    rayon::current_num_threads() as u32
+}
+
 /// Largest resident memory of this process so far, bytes; 0 where the system does not tell.
 #[must_use]
 pub fn peak_rss_bytes() -> u64 {

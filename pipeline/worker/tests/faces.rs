@@ -132,12 +132,13 @@ fn warnings(event: Event) -> Vec<String> {
         warnings,
         seconds,
         peak_rss_bytes,
+        threads,
         ..
     } = event
     else {
         panic!("expected done, got {event:?}")
     };
-    assert!(seconds.contains_key("total") && peak_rss_bytes > 0);
+    assert!(seconds.contains_key("total") && peak_rss_bytes > 0 && threads > 0);
     warnings
 }
 

@@ -235,6 +235,7 @@ impl<'a> Schedule<'a> {
             outcome: result.outcome,
             seconds: result.seconds,
             peak_rss_bytes: result.peak_rss_bytes,
+            threads: result.threads,
             output_bytes: if result.outcome == Outcome::Done {
                 std::fs::metadata(&path).map_or(0, |file| file.len())
             } else {

@@ -43,6 +43,7 @@ pub(super) struct JobResult {
     pub(super) outcome: Outcome,
     pub(super) seconds: std::collections::BTreeMap<String, f64>,
     pub(super) peak_rss_bytes: u64,
+    pub(super) threads: u32,
     pub(super) warnings: Vec<String>,
     pub(super) failure: Option<Failure>,
     pub(super) stderr: Vec<String>,
@@ -57,6 +58,7 @@ impl JobResult {
             outcome,
             seconds,
             peak_rss_bytes: 0,
+            threads: 0,
             warnings,
             failure: None,
             stderr,
@@ -169,12 +171,14 @@ fn run(
                 job: number,
                 seconds,
                 peak_rss_bytes,
+                threads,
                 warnings,
             }) if number == job.job => {
                 *kept = told_to_stop.is_none().then_some(worker);
                 return JobResult {
                     seconds,
                     peak_rss_bytes,
+                    threads,
                     warnings,
                     ..JobResult::of(Outcome::Done)
                 };

@@ -42,6 +42,13 @@ pub(super) fn timing(
         return timing;
     }
     timing.device = "cpu".to_owned();
+    let threads = |node: usize| {
+        costs
+            .get(&node)
+            .map(|attempt| attempt.threads)
+            .filter(|&count| count > 0)
+    };
+    timing.threads = threads(score);
     let mut peak = costs.get(&score).map(|attempt| attempt.peak_rss_bytes);
     for upstream in plan.upstream(score) {
         match plan.nodes[upstream].stage.as_str() {
@@ -57,6 +64,7 @@ pub(super) fn timing(
             }
             _ => continue,
         }
+        timing.threads = timing.threads.max(threads(upstream));
         // The stage was loaded for this clip: the process had not done one with these weights before.
         timing.warmup |= phase(upstream, "load").is_some();
         peak = peak.max(costs.get(&upstream).map(|attempt| attempt.peak_rss_bytes));
