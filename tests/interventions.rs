@@ -1,6 +1,5 @@
 //! Variants of a run: the interventions of `manifests/ablations.toml`, and tokens from latents.
 
-#[allow(dead_code)] // Every test program uses a part.
 mod support;
 
 use std::collections::BTreeMap;

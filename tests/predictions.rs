@@ -1,7 +1,6 @@
 //! An outside method from the manifest to the tables and the report: our own field, handed in as PLY files, must have the
 //! scores of the field itself.
 
-#[allow(dead_code)] // Every test program uses a part.
 mod support;
 
 use std::path::Path;
