@@ -57,6 +57,7 @@ pub(super) fn evaluate(network: &Stage1, settings: &Stage1Training) -> Result<Ev
 /// | score | |
 /// |---|---|
 /// | `head_abs_rel` | mean of abs(D - D*) / D* of the depth head at source pixels that are not robot |
+/// | `head_robot_abs_rel` | the same at pixels of the robot |
 /// | `source_abs_rel`, `novel_abs_rel` | the same of rendered depth at source cameras and at right eyes |
 /// | `source_psnr`, `novel_psnr` | at query times, dB |
 /// | `robot_epe_mm` | mean distance of predicted and true displacement at robot pixels |
@@ -68,9 +69,11 @@ fn score(network: &Stage1, sample: &Sample) -> Result<(BTreeMap<&'static str, f6
     let mut means = Means::default();
     let depth = to_host(lifted.depth.clone())?;
     for pixel in 0..depth.len() {
-        if sample.valid[pixel] > 0.0 && sample.robot[pixel] == 0.0 {
+        if sample.valid[pixel] > 0.0 {
             let error = (depth[pixel] - sample.depth_iu[pixel]).abs();
-            means.add("head_abs_rel", f64::from(error / sample.depth_iu[pixel]));
+            let robot = sample.robot[pixel] > 0.0;
+            let name = if robot { "head_robot_abs_rel" } else { "head_abs_rel" };
+            means.add(name, f64::from(error / sample.depth_iu[pixel]));
         }
     }
     let mut last = Vec::new();
