@@ -10,7 +10,8 @@ use crate::render::{Render, render_views};
 #[cfg(feature = "gpu")]
 use crate::gpu::{self, GpuContributions, GpuDevice, GpuScene, GpuTape};
 
-/// Where renders run. To keep a scene in the memory of a graphics processor between renders use [`crate::gpu`] itself.
+/// Where renders run. To keep a scene in the memory of a graphics processor between renders use the
+/// module `gpu` itself.
 #[derive(Debug, Clone, Default)]
 pub enum RasterDevice {
     /// The processor, with its widest vector instructions.
