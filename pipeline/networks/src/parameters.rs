@@ -88,20 +88,12 @@ impl Parameters {
         Ok(())
     }
 
-    /// A copy on a device, without the history of gradients; what is streamed stays streamed.
-    ///
-    /// # Errors
-    /// When a parameter cannot be read.
-    pub fn on(&self, device: &Device) -> Result<Self> {
-        let mut copy = Self {
-            device: device.clone(),
-            memory: BTreeMap::new(),
-            source: self.source.clone(),
-        };
-        for (name, parameter) in &self.memory {
-            copy.insert(name, &parameter.shape, to_host(parameter.values.clone())?)?;
-        }
-        Ok(copy)
+    /// The same parameters outside of differentiation: faster, and on the kernels that lifting uses. What is streamed stays
+    /// streamed.
+    #[must_use]
+    pub fn without_gradients(&self) -> Self {
+        let device = self.device.clone().without_autodiff();
+        self.with_leaves(&device, |_, values| values.without_autodiff())
     }
 
     /// The same parameters as other leaves: `leaf` makes those in memory, what is streamed stays streamed.

@@ -1,9 +1,11 @@
 //! The training objective of Stage 2 (`stage2-network.md` section B.8), as tensors that gradients pass through.
 
 use burn::tensor::Tensor;
+use serde::{Deserialize, Serialize};
 
-/// Weights of the terms.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Weights of the terms; the settings of a training run hold them under these names.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub struct ObjectiveWeights {
     /// Absolute colour difference, source and paired-right views.
     pub rendering: f64,

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use burn::tensor::Device;
 use rogs_networks::parameters::to_host;
 use rogs_networks::render::render_views;
 use rogs_networks::stage1::Stage1;
@@ -36,7 +35,7 @@ struct View {
 /// When a clip cannot be made or rendered.
 pub(super) fn evaluate(network: &Stage1, settings: &Stage1Training) -> Result<Evaluation> {
     // Without gradients it is faster, and runs on the kernels that lifting uses.
-    let network = Stage1::new(network.config.clone(), network.parameters.on(&Device::flex())?)?;
+    let network = Stage1::new(network.config.clone(), network.parameters.without_gradients())?;
     let mut evaluation = Evaluation::default();
     for index in 0..settings.evaluation_clips {
         let plan = ClipPlan::evaluation(settings.data.held_out_seed + index, &settings.data);

@@ -72,12 +72,8 @@ pub(super) fn differentiate(
 
 /// Inputs of all pairs and outputs of the tapped ones, as plain tensors.
 fn without_gradients(network: &Stage1, clip: &Sample) -> Result<(Vec<Tensor<3>>, [Tensor<3>; 4])> {
-    let device = network.parameters.device().clone().without_autodiff();
-    let parameters = network
-        .parameters
-        .with_leaves(&device, |_, values| values.without_autodiff());
-    let plain = Stage1::new(network.config.clone(), parameters)?;
-    let frames = source_frames(clip, &device);
+    let plain = Stage1::new(network.config.clone(), network.parameters.without_gradients())?;
+    let frames = source_frames(clip, plain.parameters.device());
     let mut tokens = plain.embed(&frames, plain.encoder().forward(frames.images.clone())?)?;
     let aggregator = plain.aggregator();
     let grid = plain.config.grid(clip.size[0], clip.size[1])?;

@@ -20,7 +20,7 @@ use rogs_schemas::records::field::WeightsInfo;
 
 pub use self::lifted::LiftedClip;
 use self::lifted::Lifter;
-pub use self::settings::{Stage2Losses, Stage2Training};
+pub use self::settings::Stage2Training;
 use self::views::{picture, seen, view};
 use crate::checkpoint::State;
 use crate::error::{Error, Result};
@@ -104,15 +104,15 @@ impl Stage2Trainer {
 
     /// The refiner on a copy of the parameters, which may record gradients.
     fn refiner(&self, tracked: bool) -> Result<(Parameters, Refiner)> {
-        let device = if tracked {
-            Device::flex().autodiff()
-        } else {
-            Device::flex()
-        };
-        let mut copy = self.parameters.on(&device)?;
-        if tracked {
+        let copy = if tracked {
+            let mut copy = self
+                .parameters
+                .with_leaves(self.parameters.device(), |_, values| values);
             AdamW::track(&mut copy);
-        }
+            copy
+        } else {
+            self.parameters.without_gradients()
+        };
         let refiner = Refiner::load(&copy, &self.config)?;
         Ok((copy, refiner))
     }
@@ -176,7 +176,7 @@ impl Course for Stage2Trainer {
             move |view: &RenderedView| network.distance(planar(&view.rgb), planar(&view.observed_rgb))
         });
         let options = TrainingOptions {
-            weights: self.settings.losses.into(),
+            weights: self.settings.losses,
             frames: &batch.frames,
             right_views: true,
             perceptual: distance.as_ref().map(|distance| distance as Perceptual<'_>),

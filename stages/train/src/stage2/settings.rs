@@ -47,61 +47,7 @@ pub struct Stage2Training {
     /// Largest norm of all gradients together.
     pub clip: f64,
     /// Weights of the losses.
-    pub losses: Stage2Losses,
-}
-
-/// Weights of the losses of Stage 2.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Stage2Losses {
-    /// Absolute colour difference.
-    pub rendering: f64,
-    /// LPIPS.
-    pub perceptual: f64,
-    /// Relative metric depth.
-    pub depth: f64,
-    /// Robot position against forward kinematics.
-    pub robot: f64,
-    /// Rendered motion against tracks.
-    pub motion: f64,
-    /// Rendered motion against that of Stage 1.
-    pub preservation: f64,
-    /// Missing opacity, source views.
-    pub coverage: f64,
-    /// Missing opacity, right views.
-    pub coverage_right: f64,
-}
-
-impl Default for Stage2Losses {
-    fn default() -> Self {
-        let weights = ObjectiveWeights::default();
-        Self {
-            rendering: weights.rendering,
-            perceptual: weights.perceptual,
-            depth: weights.depth,
-            robot: weights.robot,
-            motion: weights.motion,
-            preservation: weights.preservation,
-            coverage: weights.coverage,
-            coverage_right: weights.coverage_right,
-        }
-    }
-}
-
-impl From<Stage2Losses> for ObjectiveWeights {
-    fn from(losses: Stage2Losses) -> Self {
-        Self {
-            rendering: losses.rendering,
-            perceptual: losses.perceptual,
-            depth: losses.depth,
-            robot: losses.robot,
-            motion: losses.motion,
-            preservation: losses.preservation,
-            coverage: losses.coverage,
-            coverage_right: losses.coverage_right,
-            ..Self::default()
-        }
-    }
+    pub losses: ObjectiveWeights,
 }
 
 impl Default for Stage2Training {
@@ -127,7 +73,7 @@ impl Default for Stage2Training {
             warmup: 100,
             weight_decay: 0.01,
             clip: 0.5,
-            losses: Stage2Losses::default(),
+            losses: ObjectiveWeights::default(),
         }
     }
 }
@@ -193,6 +139,7 @@ impl Stage2Training {
             losses.preservation,
             losses.coverage,
             losses.coverage_right,
+            losses.discount,
         ];
         if weights.iter().any(|weight| !weight.is_finite() || *weight < 0.0) {
             return wrong("losses", format!("{weights:?}"), "finite and not negative");
