@@ -99,6 +99,7 @@ fn parts(network: &Stage1, grid: [usize; 2]) -> Result<Vec<(&'static str, f64)>,
     };
     let encoded = Encoded {
         taps: [tap(), tap(), tap(), tap()],
+        local: None,
         grid,
         size: SIZE,
     };
@@ -112,7 +113,7 @@ fn parts(network: &Stage1, grid: [usize; 2]) -> Result<Vec<(&'static str, f64)>,
         ("global block, bf16", over(&global_bf16, &joined)),
         (
             "dense head, one frame",
-            best(|| drop(head.forward(&projections, &encoded.taps, grid, SIZE).to_data())),
+            best(|| drop(head.forward(&projections, &encoded).to_data())),
         ),
     ])
 }
@@ -140,7 +141,7 @@ fn whole(network: &Stage1) -> Result<f64, Box<dyn std::error::Error>> {
         let projections = head.projections(None);
         for frame in 0..FRAMES {
             let one = encoded.frames_at(frame, 1);
-            drop(head.forward(&projections, &one.taps, one.grid, one.size).to_data());
+            drop(head.forward(&projections, &one).to_data());
         }
     }
     Ok(processor_seconds() - start)

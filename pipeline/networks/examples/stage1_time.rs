@@ -40,7 +40,7 @@ fn main() {
         let projections = head.projections(kind.timed().then_some(0.3));
         for frame in 0..frames {
             let one = encoded.frames_at(frame, 1);
-            let output = head.forward(&projections, &one.taps, one.grid, one.size);
+            let output = head.forward(&projections, &one);
             sum += to_host(output).unwrap().iter().map(|&v| f64::from(v)).sum::<f64>();
         }
         println!("{} {:?}", kind.name(), start.elapsed());

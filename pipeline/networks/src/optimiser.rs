@@ -68,14 +68,18 @@ pub fn gradients(leaves: &Parameters, loss: &Tensor<1>) -> Result<Gradients> {
     Ok(by_name)
 }
 
-/// Takes the gradients of parameters in memory out of a finished backward pass.
+/// Takes the gradients of parameters in memory out of a finished backward pass and adds them to those that are there.
 ///
 /// # Errors
 /// When a gradient cannot be read from the device.
 pub fn collect(leaves: &Parameters, graph: &mut burn::tensor::Gradients, by_name: &mut Gradients) -> Result<()> {
     for (name, parameter) in leaves.memory() {
         if let Some(gradient) = parameter.values.grad_remove(graph) {
-            by_name.insert(name.clone(), to_host(gradient)?);
+            let values = to_host(gradient)?;
+            match by_name.get_mut(name) {
+                Some(sum) => sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += value),
+                None => drop(by_name.insert(name.clone(), values)),
+            }
         }
     }
     Ok(())

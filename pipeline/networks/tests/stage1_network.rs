@@ -38,7 +38,6 @@ struct Outputs {
 }
 
 fn run(network: &Stage1, encoded: &Encoded, images: Tensor<4>, times: &[f32]) -> Outputs {
-    let Encoded { taps, grid, size } = encoded;
     let head = |kind| network.head(kind).unwrap();
     let (depth, splat, motion, timed) = (
         head(HeadKind::Depth),
@@ -46,18 +45,18 @@ fn run(network: &Stage1, encoded: &Encoded, images: Tensor<4>, times: &[f32]) ->
         head(HeadKind::Motion),
         head(HeadKind::MotionSplat),
     );
-    let base = splat.forward(&splat.projections(None), taps, *grid, *size) + splat.shortcut(images).unwrap();
+    let base = splat.forward(&splat.projections(None), encoded) + splat.shortcut(images).unwrap();
     let shortcut = timed.shortcut(base.clone().narrow(1, 0, 11)).unwrap();
     Outputs {
-        depth: activate_depth(depth.forward(&depth.projections(None), taps, *grid, *size)),
+        depth: activate_depth(depth.forward(&depth.projections(None), encoded)),
         base,
         motion: times
             .iter()
-            .map(|&time| motion.forward(&motion.projections(Some(time)), taps, *grid, *size))
+            .map(|&time| motion.forward(&motion.projections(Some(time)), encoded))
             .collect(),
         timed: times
             .iter()
-            .map(|&time| timed.forward(&timed.projections(Some(time)), taps, *grid, *size) + shortcut.clone())
+            .map(|&time| timed.forward(&timed.projections(Some(time)), encoded) + shortcut.clone())
             .collect(),
     }
 }
@@ -192,9 +191,9 @@ fn full_forward() {
     let depth = network.head(HeadKind::Depth).unwrap();
     let projections = depth.projections(None);
     let all = depth
-        .forward(&projections, &encoded.taps, encoded.grid, encoded.size)
+        .forward(&projections, &encoded)
         .narrow(0, 2, 1);
-    let one = depth.forward(&projections, &alone.taps, alone.grid, alone.size);
+    let one = depth.forward(&projections, &alone);
     assert!(worst(&host(one), &host(all)) <= 1e-6, "splitting frames changes a head");
 }
 

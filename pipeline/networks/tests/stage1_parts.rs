@@ -274,7 +274,7 @@ fn head_motion_head_by_stages() {
     );
     check_stages(&golden, ".t1", 1e-5, |observe| {
         let projections = head.projections(Some(0.3125));
-        let _ = head.forward_observed(&projections, &encoded.taps, encoded.grid, encoded.size, observe);
+        let _ = head.forward_observed(&projections, &encoded, observe);
     });
 }
 
@@ -294,9 +294,7 @@ fn head_depth_and_splat_by_stages() {
         check_stages(&golden, "", tolerance, |observe| {
             let _ = head.forward_observed(
                 &head.projections(None),
-                &encoded.taps,
-                encoded.grid,
-                encoded.size,
+                &encoded,
                 observe,
             );
         });
@@ -327,9 +325,7 @@ fn head_motion_splat_by_stages() {
     check_stages(&golden, ".t1", 2e-5, |observe| {
         let _ = head.forward_observed(
             &head.projections(Some(0.3125)),
-            &encoded.taps,
-            encoded.grid,
-            encoded.size,
+            &encoded,
             observe,
         );
     });

@@ -49,8 +49,8 @@ pub(crate) fn lift_base(
     let (depth_projections, splat_projections) = (depth_head.projections(None), splat_head.projections(None));
     let frame = |index: usize| -> rogs_networks::Result<(Vec<f32>, Vec<f32>)> {
         let one = encoded.frames_at(index, 1);
-        let depth = activate_depth(depth_head.forward(&depth_projections, &one.taps, one.grid, one.size));
-        let mut raw = splat_head.forward(&splat_projections, &one.taps, one.grid, one.size);
+        let depth = activate_depth(depth_head.forward(&depth_projections, &one));
+        let mut raw = splat_head.forward(&splat_projections, &one);
         if let Some(shortcut) = splat_head.shortcut(images.clone().narrow(0, index, 1)) {
             raw = raw + shortcut;
         }
@@ -171,7 +171,7 @@ impl MotionHeads {
             let one = encoded.frames_at(index, 1);
             let visual = self
                 .motion
-                .forward(&motion, &one.taps, one.grid, one.size)
+                .forward(&motion, &one)
                 .narrow(1, 0, 3);
             let device = visual.device();
             let total = match &self.fk {
@@ -250,7 +250,7 @@ impl MotionHeads {
     ) -> rogs_networks::Result<Vec<f32>> {
         let [height, width] = one.size;
         let area = height * width;
-        let mut raw = self.attributes.forward(projections, &one.taps, one.grid, one.size);
+        let mut raw = self.attributes.forward(projections, one);
         let shortcut = self.shortcuts[index].get_or_init(|| {
             let planar =
                 (0..RAW_CHANNELS).flat_map(|channel| (0..area).map(move |pixel| base[pixel * RAW_CHANNELS + channel]));

@@ -100,6 +100,7 @@ fn restore(field: &Field, network: &Stage1) -> Result<Encoded> {
     };
     Ok(Encoded {
         taps: [tap(0)?, tap(1)?, tap(2)?, tap(3)?],
+        local: None,
         grid,
         size,
     })

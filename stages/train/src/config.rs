@@ -203,6 +203,12 @@ impl LossWeights {
         self.movies_mse > 0.0 || self.movies_lpips > 0.0 || self.metric() || coverage
     }
 
+    /// Whether any loss looks further than the depth head, at what is asked for at a query time.
+    #[must_use]
+    pub fn needs_queries(&self) -> bool {
+        self.renders_views() || self.renders_motion() || self.track_head > 0.0 || self.fk_head > 0.0
+    }
+
     /// Whether any loss looks at a composited displacement.
     #[must_use]
     pub fn renders_motion(&self) -> bool {

@@ -11,7 +11,7 @@ use rogs_schemas::units::m_from_iu;
 use rogs_train::config::DataSettings;
 use rogs_train::plan::ClipPlan;
 use rogs_train::run::run;
-use rogs_train::stage1::forward::{Lifted, lift};
+use rogs_train::stage1::forward::{Heads, Lifted, lift};
 use rogs_train::{Stage1Trainer, Stage1Training};
 
 #[test]
@@ -36,7 +36,7 @@ fn lifting_in_training_equals_the_lift_stage() {
             .collect();
         network.parameters.insert(name, &shape, values).unwrap();
     }
-    let lifted = lift(&network, &sample, true).unwrap();
+    let lifted = lift(&network, &sample, true, Heads::All).unwrap();
     let info = WeightsInfo {
         trained: false,
         configuration: "compact".into(),
@@ -74,7 +74,7 @@ fn lifting_in_training_equals_the_lift_stage() {
         anchoring: false,
         ..LiftParams::default()
     };
-    let free = lift(&model.network, &sample.without_anchors(), true).unwrap();
+    let free = lift(&model.network, &sample.without_anchors(), true, Heads::All).unwrap();
     let free_field = lift_field(&unanchored);
     positions_agree(&free, &free_field);
     assert!(free_field.position_m != field.position_m);

@@ -11,7 +11,7 @@ use rogs_train::config::{DataSettings, LossWeights, OptimiserSettings};
 use rogs_train::plan::ClipPlan;
 use rogs_train::run::run;
 use rogs_train::sample::Sample;
-use rogs_train::stage1::forward::lift;
+use rogs_train::stage1::forward::{Heads, lift};
 use rogs_train::stage1::objective::{Losses, objective};
 use rogs_train::stage1::start;
 use rogs_train::stream::batches;
@@ -255,7 +255,7 @@ fn gradients_are_those_of_the_reported_loss() {
             values[entry] += shift + if what == "composited motion" { 0.3 } else { 0.0 };
             trainer.network.parameters.insert(name, &shape, values).unwrap();
             let network = start::tracked(&trainer.network, &settings.optimiser).unwrap();
-            let lifted = lift(&network, &clip, true).unwrap();
+            let lifted = lift(&network, &clip, true, Heads::All).unwrap();
             let losses = Losses {
                 weights: &weights,
                 perceptual: Some(&perceptual),

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::stem::CELL;
 use crate::{Error, Result};
 
 /// Special tokens in front of the patches of a frame in the aggregator: time, pose, camera.
@@ -48,6 +49,10 @@ pub struct Stage1Config {
     pub time_frequencies: usize,
     /// Hidden channels of the FK-conditioning branch.
     pub fk_hidden: usize,
+    /// Channels of the four levels of the convolutional stem ([`super::stem`]); 0 for a network without one, as the released
+    /// one.
+    #[serde(default)]
+    pub stem_channels: [usize; 4],
 }
 
 impl Stage1Config {
@@ -69,10 +74,11 @@ impl Stage1Config {
             head_hidden: 32,
             time_frequencies: 10,
             fk_hidden: 32,
+            stem_channels: [0; 4],
         }
     }
 
-    /// The same architecture at laptop size.
+    /// The same architecture at laptop size, with a stem.
     #[must_use]
     pub fn compact() -> Self {
         Self {
@@ -90,6 +96,7 @@ impl Stage1Config {
             head_hidden: 16,
             time_frequencies: 10,
             fk_hidden: 16,
+            stem_channels: [32, 48, 64, 96],
         }
     }
 
@@ -127,6 +134,14 @@ impl Stage1Config {
         if sizes.iter().any(|&size| size > 1 << 14) || self.encoder_blocks > 1 << 10 {
             return fail("a size is larger than any network this program can run".into());
         }
+        let stem = self.stem_channels;
+        if self.has_stem() && (stem.contains(&0) || stem.iter().any(|&channels| channels > 1 << 10)) {
+            return fail(format!("a stem of {stem:?} channels: all are 0, or all from 1 to 1024"));
+        }
+        if self.has_stem() && !self.patch.is_multiple_of(CELL) {
+            let patch = self.patch;
+            return fail(format!("a stem needs patches of an even side, not {patch}"));
+        }
         if !self.width.is_multiple_of(self.heads) || !(self.width / self.heads).is_multiple_of(4) {
             let (width, heads) = (self.width, self.heads);
             return fail(format!(
@@ -148,6 +163,12 @@ impl Stage1Config {
             return fail("head channels must be multiples of 4 and head features of 8".into());
         }
         Ok(())
+    }
+
+    /// Whether the network has a convolutional stem.
+    #[must_use]
+    pub fn has_stem(&self) -> bool {
+        self.stem_channels != [0; 4]
     }
 
     /// Channels of one attention head.
@@ -229,6 +250,13 @@ impl HeadKind {
             Self::MotionSplat => Some(SPLAT_CHANNELS - 1),
             Self::Depth | Self::Motion => None,
         }
+    }
+
+    /// Whether the head reads the features of the stem, in a network that has one. Those asked at any later time do not, so
+    /// that a field need not keep images.
+    #[must_use]
+    pub fn reads_stem(self) -> bool {
+        !self.timed()
     }
 
     /// Whether the head is modulated by a query time.

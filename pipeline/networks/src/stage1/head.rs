@@ -6,6 +6,8 @@ use burn::tensor::Tensor;
 
 use super::config::{HeadKind, Stage1Config};
 use super::geometry::encode_time;
+use super::network::Encoded;
+use super::stem::Pyramid;
 use super::positions::head_positions;
 use crate::Result;
 use crate::kernels::{self, After, Conv3x3, DenseTail};
@@ -76,6 +78,40 @@ impl Fusion {
             _ => level,
         };
         ops::resize(self.out.forward(self.residual.forward(merged)), size)
+    }
+}
+
+/// Joins the features of the stem with the maps of a head: the coarser three levels are added before fusion; with the
+/// finest one y = map + project(features), the result is y + conv2(relu(conv1(relu(y)))).
+#[derive(Debug, Clone)]
+struct StemJoin {
+    projections: [Conv; 4],
+    conv1: Conv,
+    conv2: Conv,
+}
+
+impl StemJoin {
+    fn load(scope: &Scope<'_>, features: usize, channels: [usize; 4]) -> Result<Self> {
+        let conv = |name: &str| Conv::load(&scope.child(name), [features; 2], 3, 1);
+        let project = |level: usize| {
+            let scope = scope.child(format_args!("project.{level}"));
+            Conv::load(&scope, [features, channels[level]], 1, 1)
+        };
+        Ok(Self {
+            projections: [project(0)?, project(1)?, project(2)?, project(3)?],
+            conv1: conv("conv1")?,
+            conv2: conv("conv2")?,
+        })
+    }
+
+    fn add(&self, level: usize, map: Tensor<4>, local: &Pyramid) -> Tensor<4> {
+        let size = [map.dims()[2], map.dims()[3]];
+        map + ops::resize(self.projections[level].forward(local[level].clone()), size)
+    }
+
+    fn refine(&self, map: Tensor<4>, local: &Pyramid) -> Tensor<4> {
+        let joined = self.add(0, map, local);
+        joined.clone() + self.conv2.forward(self.conv1.forward_rectified(joined))
     }
 }
 
@@ -174,6 +210,7 @@ pub struct DenseHead {
     shrink: Conv,
     reduce: [Conv; 4],
     fuse: [Fusion; 4],
+    stem: Option<StemJoin>,
     narrow: Conv,
     tail: Tail,
     shortcut: Option<Tail>,
@@ -241,6 +278,11 @@ impl DenseHead {
             shrink: Conv::load(&scope.child("resize_layers.3"), [channels[3]; 2], 3, 2)?,
             reduce: [reduce(0)?, reduce(1)?, reduce(2)?, reduce(3)?],
             fuse: [fuse(0)?, fuse(1)?, fuse(2)?, fuse(3)?],
+            stem: if kind.reads_stem() && config.has_stem() {
+                Some(StemJoin::load(&scope.child("stem"), features, config.stem_channels)?)
+            } else {
+                None
+            },
             narrow: Conv::load(&scratch.child("output_conv1"), [features / 2, features], 3, 1)?,
             tail: Tail::load(&scratch.child("output_conv2"), [features / 2, hidden, kind.channels()])?,
             shortcut: kind.shortcut_channels().map(shortcut).transpose()?,
@@ -277,17 +319,10 @@ impl DenseHead {
         Some(layer.forward(encoding).squeeze_dim(0))
     }
 
-    /// The head on standardised taps of some frames, without the shortcut, before activation.
-    /// `4 x [S, N, 2C] -> [S, channels, H, W]`
+    /// The head on some frames, without the shortcut, before activation. `[S, channels, H, W]`
     #[must_use]
-    pub fn forward(
-        &self,
-        projections: &Projections,
-        taps: &[Tensor<3>; 4],
-        grid: [usize; 2],
-        size: [usize; 2],
-    ) -> Tensor<4> {
-        self.run(projections, taps, grid, size, &mut None)
+    pub fn forward(&self, projections: &Projections, encoded: &Encoded) -> Tensor<4> {
+        self.run(projections, encoded, &mut None)
     }
 
     /// The same, showing every stage to an observer.
@@ -295,22 +330,20 @@ impl DenseHead {
     pub fn forward_observed(
         &self,
         projections: &Projections,
-        taps: &[Tensor<3>; 4],
-        grid: [usize; 2],
-        size: [usize; 2],
+        encoded: &Encoded,
         observe: Observer<'_>,
     ) -> Tensor<4> {
-        self.run(projections, taps, grid, size, &mut Some(observe))
+        self.run(projections, encoded, &mut Some(observe))
     }
 
-    fn run(
-        &self,
-        projections: &Projections,
-        taps: &[Tensor<3>; 4],
-        grid: [usize; 2],
-        size: [usize; 2],
-        watch: Watch<'_, '_>,
-    ) -> Tensor<4> {
+    fn run(&self, projections: &Projections, encoded: &Encoded, watch: Watch<'_, '_>) -> Tensor<4> {
+        let Encoded {
+            taps,
+            local,
+            grid,
+            size,
+        } = encoded;
+        let (grid, size) = (*grid, *size);
         let levels: [Tensor<4>; 4] = std::array::from_fn(|level| {
             let map = self.level(
                 level,
@@ -319,7 +352,10 @@ impl DenseHead {
                 size,
                 watch,
             );
-            let map = self.reduce[level].forward(map);
+            let mut map = self.reduce[level].forward(map);
+            if let (Some(stem), Some(local), true) = (&self.stem, local, level < 3) {
+                map = stem.add(level + 1, map, local);
+            }
             show(watch, || format!("layer{}_rn", level + 1), &map);
             map
         });
@@ -331,6 +367,10 @@ impl DenseHead {
         for (level, map) in [(2, middle), (1, fine), (0, finest)] {
             fused = self.fuse[level].forward(Some(fused), map, targets[level]);
             show(watch, || format!("refinenet{}", level + 1), &fused);
+        }
+        if let (Some(stem), Some(local)) = (&self.stem, local) {
+            fused = stem.refine(fused, local);
+            show(watch, || "stem".into(), &fused);
         }
         let narrowed = self.narrow.forward(fused);
         show(watch, || "output_conv1".into(), &narrowed);

@@ -1,6 +1,7 @@
 //! Every parameter of a configuration: name, shape and initial values, in the order of the released checkpoint.
 
 use super::config::{HeadKind, POSE_NUMBERS, SPLAT_CHANNELS, Stage1Config};
+use super::stem;
 use crate::parameters::ParameterSource;
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 
@@ -107,6 +108,39 @@ pub fn released(config: &Stage1Config) -> Vec<ParameterSpec> {
     list.layer("backbone.backbone.time_embed", &[width, config.time_numbers()]);
     for kind in HeadKind::ALL {
         list.head(kind, config);
+    }
+    list.0.extend(stem(config));
+    list.0
+}
+
+/// The parameters that a stem adds to a network without one: its own, and where heads read it. What it says to tokens and
+/// heads is zero at the start.
+#[must_use]
+pub fn stem(config: &Stage1Config) -> Vec<ParameterSpec> {
+    let mut list = List::default();
+    if !config.has_stem() {
+        return list.0;
+    }
+    let channels = config.stem_channels;
+    let mut inputs = stem::INPUTS;
+    for (level, &outputs) in channels.iter().enumerate() {
+        let scope = format!("stem.levels.{level}");
+        let cell = inputs * stem::CELL * stem::CELL;
+        list.layer(&format!("{scope}.conv1"), &[outputs, cell, 3, 3]);
+        list.layer(&format!("{scope}.conv2"), &[outputs, outputs, 3, 3]);
+        inputs = outputs;
+    }
+    let zero = Initial::Constant(0.0);
+    let to_tokens = stem::TOKEN_LEVELS.iter().map(|&level| channels[level]).sum();
+    list.filled("stem.tokens", &[config.width, to_tokens], zero);
+    let features = config.head_features;
+    for kind in HeadKind::ALL.into_iter().filter(|kind| kind.reads_stem()) {
+        let scope = format!("backbone.{}.stem", kind.name());
+        for (level, &channels) in channels.iter().enumerate() {
+            list.filled(&format!("{scope}.project.{level}"), &[features, channels, 1, 1], zero);
+        }
+        list.layer(&format!("{scope}.conv1"), &[features, features, 3, 3]);
+        list.filled(&format!("{scope}.conv2"), &[features, features, 3, 3], zero);
     }
     list.0
 }

@@ -16,6 +16,7 @@ pub mod losses;
 pub mod network;
 pub mod positions;
 pub mod seeded;
+pub mod stem;
 
 pub use crate::kernels::Precision;
 pub use aggregator::Attention;

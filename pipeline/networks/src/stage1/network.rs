@@ -7,6 +7,7 @@ use super::config::{HeadKind, Stage1Config};
 use super::encoder::Encoder;
 use super::geometry::Camera;
 use super::head::{DenseHead, FkBranch, TAP_EPSILON};
+use super::stem::{Pyramid, Stem};
 use crate::kernels::Precision;
 use crate::ops::standardise;
 use crate::parameters::Parameters;
@@ -42,6 +43,8 @@ pub struct SourceFrames {
 pub struct Encoded {
     /// Per tap, before the affine map of a head's norm. `4 x [S, N, 2C]`
     pub taps: [Tensor<3>; 4],
+    /// Features of the stem, in a network that has one and for heads that read it. `4 x [S, c, h, w]`
+    pub local: Option<Pyramid>,
     /// Patch grid, rows and columns.
     pub grid: [usize; 2],
     /// Image height and width.
@@ -60,6 +63,7 @@ impl Encoded {
     pub fn frames_at(&self, start: usize, count: usize) -> Self {
         Self {
             taps: self.taps.clone().map(|tap| tap.narrow(0, start, count)),
+            local: self.local.clone().map(|maps| maps.map(|map| map.narrow(0, start, count))),
             ..*self
         }
     }
@@ -117,8 +121,9 @@ impl Stage1 {
     /// # Errors
     /// When a tensor is missing or has another shape, or the frames do not fit together.
     pub fn encode(&self, frames: &SourceFrames) -> Result<Encoded> {
-        let tokens = self.encoder().forward(frames.images.clone())?;
-        self.encode_tokens(frames, tokens)
+        let local = self.local(frames)?;
+        let tokens = self.patch_tokens(frames, local.as_ref())?;
+        self.encode_with(frames, tokens, local)
     }
 
     /// The same with patch tokens from elsewhere (the latent adapter). `tokens: [S, N, C]`
@@ -126,11 +131,45 @@ impl Stage1 {
     /// # Errors
     /// As [`Self::encode`].
     pub fn encode_tokens(&self, frames: &SourceFrames, tokens: Tensor<3>) -> Result<Encoded> {
+        self.encode_with(frames, tokens, self.local(frames)?)
+    }
+
+    fn encode_with(&self, frames: &SourceFrames, tokens: Tensor<3>, local: Option<Pyramid>) -> Result<Encoded> {
         let [_, _, height, width] = frames.images.dims();
         let grid = self.config.grid(height, width)?;
         let tokens = self.embed(frames, tokens)?;
         let taps = self.aggregator().forward(tokens, grid, &frames.attention)?;
-        self.encoded(taps, [height, width])
+        self.encoded(taps, local, [height, width])
+    }
+
+    /// Features of the stem; `None` in a network without one. `4 x [S, c, h, w]`
+    ///
+    /// # Errors
+    /// As [`Self::encode`].
+    pub fn local(&self, frames: &SourceFrames) -> Result<Option<Pyramid>> {
+        if !self.config.has_stem() {
+            return Ok(None);
+        }
+        self.stem()
+            .features(frames.images.clone(), &frames.cameras)
+            .map(Some)
+    }
+
+    /// Patch tokens of the images: those of the encoder, and what the stem adds to them. `[S, N, C]`
+    ///
+    /// # Errors
+    /// As [`Self::encode`].
+    pub fn patch_tokens(&self, frames: &SourceFrames, local: Option<&Pyramid>) -> Result<Tensor<3>> {
+        let [_, _, height, width] = frames.images.dims();
+        let tokens = self.encoder().forward(frames.images.clone())?;
+        match local {
+            Some(local) => Ok(tokens + self.stem().tokens(local, self.config.grid(height, width)?)?),
+            None => Ok(tokens),
+        }
+    }
+
+    fn stem(&self) -> Stem<'_> {
+        Stem::new(self.parameters.scope("stem"), &self.config)
     }
 
     /// What enters the first pair of the aggregator: patch tokens with rays, time, pose and registers.
@@ -155,15 +194,21 @@ impl Stage1 {
         aggregator.tokens(tokens + rays, cameras, times)
     }
 
-    /// What the heads read of the outputs of the tapped pairs `[S, T, 2C]`.
+    /// What the heads read of the outputs of the tapped pairs `[S, T, 2C]` and of the stem.
     ///
     /// # Errors
     /// When the image size is not one of whole patches.
-    pub fn encoded(&self, taps: [Tensor<3>; 4], [height, width]: [usize; 2]) -> Result<Encoded> {
+    pub fn encoded(
+        &self,
+        taps: [Tensor<3>; 4],
+        local: Option<Pyramid>,
+        [height, width]: [usize; 2],
+    ) -> Result<Encoded> {
         let grid = self.config.grid(height, width)?;
         let first = self.config.patch_start();
         Ok(Encoded {
             taps: taps.map(|tap| standardise(tap.narrow(1, first, grid[0] * grid[1]), TAP_EPSILON)),
+            local,
             grid,
             size: [height, width],
         })

@@ -128,6 +128,7 @@ pub fn tiny_config() -> Stage1Config {
         head_hidden: 32,
         time_frequencies: 10,
         fk_hidden: 32,
+        stem_channels: [0; 4],
     }
 }
 

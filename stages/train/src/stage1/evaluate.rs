@@ -8,7 +8,7 @@ use rogs_networks::stage1::Stage1;
 use rogs_schemas::units::m_from_iu;
 use rogs_splat::RasterConfig;
 
-use super::forward::{attributes, gaussians, lift};
+use super::forward::{Heads, attributes, gaussians, lift};
 use crate::config::Stage1Training;
 use crate::error::Result;
 use crate::picture::{Picture, byte, peak_signal};
@@ -63,8 +63,8 @@ pub(super) fn evaluate(network: &Stage1, settings: &Stage1Training) -> Result<Ev
 /// | `robot_epe_unconditioned_mm` | the same with all conditioning maps zero |
 /// | `object_epe_mm` | the same at pixels of objects |
 fn score(network: &Stage1, sample: &Sample) -> Result<(BTreeMap<&'static str, f64>, Vec<View>)> {
-    let lifted = lift(network, sample, true)?;
-    let bare = lift(network, sample, false)?;
+    let lifted = lift(network, sample, true, Heads::All)?;
+    let bare = lift(network, sample, false, Heads::All)?;
     let mut means = Means::default();
     let depth = to_host(lifted.depth.clone())?;
     for pixel in 0..depth.len() {

@@ -18,18 +18,27 @@ pub struct Lifted {
     pub depth: Tensor<3>,
     /// Positions after mesh anchoring, internal units. `[S, 3, H, W]`
     pub position: Tensor<4>,
-    /// Raw base attributes. `[S, 12, H, W]`
-    pub base_raw: Tensor<4>,
-    /// One a query.
+    /// One a query; none when only the depth head ran.
     pub queries: Vec<LiftedQuery>,
 }
 
 /// Outputs of a query time.
 pub struct LiftedQuery {
+    /// Raw base attributes, the same at all times. `[S, 12, H, W]`
+    pub base_raw: Tensor<4>,
     /// Displacement with the FK branch, internal units. `[S, 3, H, W]`
     pub displacement: Tensor<4>,
     /// Raw attributes at the query time after the gates. `[S, 12, H, W]`
     pub raw: Tensor<4>,
+}
+
+/// Which of the dense heads run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Heads {
+    /// All four, and the FK branch.
+    All,
+    /// The depth head.
+    Depth,
 }
 
 /// What the network sees of a clip.
@@ -48,27 +57,29 @@ pub fn source_frames(sample: &Sample, device: &Device) -> SourceFrames {
 ///
 /// # Errors
 /// When a tensor is missing or has another shape.
-pub fn lift(network: &Stage1, sample: &Sample, conditioned: bool) -> Result<Lifted> {
+pub fn lift(network: &Stage1, sample: &Sample, conditioned: bool, heads: Heads) -> Result<Lifted> {
     let encoded = network.encode(&source_frames(sample, network.parameters.device()))?;
-    decode(network, sample, &encoded, conditioned)
+    decode(network, sample, &encoded, conditioned, heads)
 }
 
 /// Runs the heads; the rest as [`lift`].
 ///
 /// # Errors
 /// When a tensor is missing or has another shape.
-pub fn decode(network: &Stage1, sample: &Sample, encoded: &Encoded, conditioned: bool) -> Result<Lifted> {
+pub fn decode(
+    network: &Stage1,
+    sample: &Sample,
+    encoded: &Encoded,
+    conditioned: bool,
+    heads: Heads,
+) -> Result<Lifted> {
     let device = network.parameters.device();
     let [height, width] = sample.size;
-    let (views, area) = (sample.views.len(), height * width);
-    let [depth_head, splat_head, motion_head, timed_head] = HeadKind::ALL.map(|kind| network.head(kind));
-    let (depth_head, splat_head) = (depth_head?, splat_head?);
-    let (motion_head, timed_head) = (motion_head?, timed_head?);
-    let branch = network.fk_branch()?;
-    let (grid, size) = (encoded.grid, encoded.size);
+    let views = sample.views.len();
+    let depth_head = network.head(HeadKind::Depth)?;
 
     let log_depth = depth_head
-        .forward(&depth_head.projections(None), &encoded.taps, grid, size)
+        .forward(&depth_head.projections(None), encoded)
         .narrow(1, 0, 1);
     let depth = log_depth.clone().exp().clamp(DEPTH_RANGE_IU[0], DEPTH_RANGE_IU[1]);
     let mesh = from_host(sample.mesh_depth_iu.clone(), [views, 1, height, width], device);
@@ -77,7 +88,32 @@ pub fn decode(network: &Stage1, sample: &Sample, encoded: &Encoded, conditioned:
     let rays = from_host(rays, [views, 3, height, width], device);
     let position = rays * selected + from_host(origins, [views, 3, 1, 1], device);
 
-    let mut base_raw = splat_head.forward(&splat_head.projections(None), &encoded.taps, grid, size);
+    let queries = match heads {
+        Heads::All => decode_queries(network, sample, encoded, conditioned)?,
+        Heads::Depth => Vec::new(),
+    };
+    Ok(Lifted {
+        log_depth: log_depth.squeeze_dim(1),
+        depth: depth.squeeze_dim(1),
+        position,
+        queries,
+    })
+}
+
+/// Runs the attribute and motion heads at all query times.
+fn decode_queries(
+    network: &Stage1,
+    sample: &Sample,
+    encoded: &Encoded,
+    conditioned: bool,
+) -> Result<Vec<LiftedQuery>> {
+    let device = network.parameters.device();
+    let [height, width] = sample.size;
+    let (views, area) = (sample.views.len(), height * width);
+    let (splat_head, motion_head) = (network.head(HeadKind::Splat)?, network.head(HeadKind::Motion)?);
+    let timed_head = network.head(HeadKind::MotionSplat)?;
+    let branch = network.fk_branch()?;
+    let mut base_raw = splat_head.forward(&splat_head.projections(None), encoded);
     if let Some(shortcut) = splat_head.shortcut(from_host(sample.images.clone(), [views, 3, height, width], device)) {
         base_raw = base_raw + shortcut;
     }
@@ -85,7 +121,7 @@ pub fn decode(network: &Stage1, sample: &Sample, encoded: &Encoded, conditioned:
     let query = |query: &Query| {
         let time = Some(query.time);
         let visual = motion_head
-            .forward(&motion_head.projections(time), &encoded.taps, grid, size)
+            .forward(&motion_head.projections(time), encoded)
             .narrow(1, 0, 3);
         let displacement = match &branch {
             Some(branch) => {
@@ -98,21 +134,18 @@ pub fn decode(network: &Stage1, sample: &Sample, encoded: &Encoded, conditioned:
             }
             None => visual,
         };
-        let mut timed = timed_head.forward(&timed_head.projections(time), &encoded.taps, grid, size);
+        let mut timed = timed_head.forward(&timed_head.projections(time), encoded);
         if let Some(shortcut) = &timed_shortcut {
             timed = timed + shortcut.clone();
         }
         let raw = gate_attributes(displacement.clone(), base_raw.clone(), timed, MotionGates::default());
-        LiftedQuery { displacement, raw }
+        LiftedQuery {
+            base_raw: base_raw.clone(),
+            displacement,
+            raw,
+        }
     };
-    let queries = sample.queries.iter().map(query).collect();
-    Ok(Lifted {
-        log_depth: log_depth.squeeze_dim(1),
-        depth: depth.squeeze_dim(1),
-        position,
-        base_raw,
-        queries,
-    })
+    Ok(sample.queries.iter().map(query).collect())
 }
 
 /// Direction at depth one of every pixel `[S, 3, H, W]`, and the origin of every view `[S, 3]`.

@@ -26,7 +26,7 @@ use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
 use crate::sample::Sample;
 use crate::stream::{Batch, Stream, batches};
 use evaluate::evaluate;
-use forward::lift;
+use forward::{Heads, lift};
 use objective::{Losses, objective};
 
 /// A run between two updates.
@@ -79,10 +79,15 @@ impl Stage1Trainer {
             weights: &settings.losses,
             perceptual: self.perceptual.as_ref(),
         };
-        let (objective, gradients) = if settings.gradient_checkpointing {
-            segments::differentiate(&network, clip, conditioned, losses, &mut random)?
+        let heads = if settings.losses.needs_queries() {
+            Heads::All
         } else {
-            let lifted = lift(&network, clip, conditioned)?;
+            Heads::Depth
+        };
+        let (objective, gradients) = if settings.gradient_checkpointing {
+            segments::differentiate(&network, clip, (conditioned, heads), losses, &mut random)?
+        } else {
+            let lifted = lift(&network, clip, conditioned, heads)?;
             let objective = objective(clip, &lifted, losses, &mut random)?;
             drop(lifted);
             let gradients = optimiser::gradients(&network.parameters, &objective.loss)?;

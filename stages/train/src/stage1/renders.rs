@@ -128,7 +128,7 @@ fn motion(
     let robot = from_host(sample.support.clone(), [count, height, width, 1], &device);
     let reference = from_host(query.displacement_iu.clone(), [count, 3, height, width], &device);
     let reference = reference.permute([0, 2, 3, 1]);
-    let base = attributes(lifted.base_raw.clone(), sample);
+    let base = attributes(outputs.base_raw.clone(), sample);
     let mut times: Vec<f32> = sample.views.iter().map(|&(_, time)| time).collect();
     times.sort_unstable_by(f32::total_cmp);
     times.dedup();

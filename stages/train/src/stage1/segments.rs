@@ -9,7 +9,7 @@ use rogs_networks::optimiser::{Gradients, collect};
 use rogs_networks::stage1::Stage1;
 use rogs_random::Pcg64;
 
-use super::forward::{decode, source_frames};
+use super::forward::{Heads, decode, source_frames};
 use super::objective::{Losses, Objective, objective};
 use crate::error::{Error, Result};
 use crate::sample::Sample;
@@ -18,17 +18,18 @@ use crate::sample::Sample;
 pub(super) fn differentiate(
     network: &Stage1,
     clip: &Sample,
-    conditioned: bool,
+    (conditioned, heads): (bool, Heads),
     losses: Losses<'_>,
     random: &mut Pcg64,
 ) -> Result<(Objective, Gradients)> {
     let tapped = |pair: usize| network.config.taps.iter().position(|&tap| tap == pair);
     let (inputs, taps) = without_gradients(network, clip)?;
+    let frames = source_frames(clip, network.parameters.device());
 
     let mut gradients = Gradients::new();
     let leaves = taps.map(|tap| tap.autodiff().require_grad());
-    let encoded = network.encoded(leaves.clone(), clip.size)?;
-    let lifted = decode(network, clip, &encoded, conditioned)?;
+    let encoded = network.encoded(leaves.clone(), network.local(&frames)?, clip.size)?;
+    let lifted = decode(network, clip, &encoded, conditioned, heads)?;
     let objective = objective(clip, &lifted, losses, random)?;
     drop((lifted, encoded));
     let mut graph = objective.loss.backward();
@@ -36,7 +37,6 @@ pub(super) fn differentiate(
     let of_taps = leaves.map(|leaf| leaf.grad_remove(&mut graph));
     drop(graph);
 
-    let frames = source_frames(clip, network.parameters.device());
     let aggregator = network.aggregator();
     let grid = network.config.grid(clip.size[0], clip.size[1])?;
     let layout = aggregator.layout(clip.views.len(), grid, &frames.attention)?;
@@ -59,7 +59,8 @@ pub(super) fn differentiate(
         of_output = input.grad_remove(&mut graph);
     }
     if let Some(gradient) = of_output {
-        let patches = network.encoder().forward(frames.images.clone())?;
+        let local = network.local(&frames)?;
+        let patches = network.patch_tokens(&frames, local.as_ref())?;
         let tokens = network.embed(&frames, patches)?;
         // Nothing here records gradients when only low-rank updates are trained.
         if tokens.is_tracked() {
@@ -74,7 +75,8 @@ pub(super) fn differentiate(
 fn without_gradients(network: &Stage1, clip: &Sample) -> Result<(Vec<Tensor<3>>, [Tensor<3>; 4])> {
     let plain = Stage1::new(network.config.clone(), network.parameters.without_gradients())?;
     let frames = source_frames(clip, plain.parameters.device());
-    let mut tokens = plain.embed(&frames, plain.encoder().forward(frames.images.clone())?)?;
+    let local = plain.local(&frames)?;
+    let mut tokens = plain.embed(&frames, plain.patch_tokens(&frames, local.as_ref())?)?;
     let aggregator = plain.aggregator();
     let grid = plain.config.grid(clip.size[0], clip.size[1])?;
     let layout = aggregator.layout(clip.views.len(), grid, &frames.attention)?;

@@ -33,6 +33,9 @@ pub fn start(settings: &Stage1Training, device: &Device) -> Result<Start> {
         }
         None => (from_seed(&config, settings.seed, device)?, true),
     };
+    if without_stem(&network.config) == without_stem(&config) && !network.config.has_stem() {
+        add_stem(&mut network, &config, settings.seed)?;
+    }
     if network.config != config {
         return Err(crate::Error::Setting {
             what: "configuration",
@@ -51,6 +54,24 @@ pub fn start(settings: &Stage1Training, device: &Device) -> Result<Start> {
         network,
         procedural_only,
     })
+}
+
+/// The same sizes of a network without a stem.
+fn without_stem(config: &Stage1Config) -> Stage1Config {
+    Stage1Config {
+        stem_channels: [0; 4],
+        ..config.clone()
+    }
+}
+
+/// Gives a network of a checkpoint without a stem the one of its configuration; it says nothing yet.
+fn add_stem(network: &mut Stage1, config: &Stage1Config, seed: u64) -> Result<()> {
+    for spec in layout::stem(config) {
+        let values = seeded::values(&spec, config, seed);
+        network.parameters.insert(&spec.name, &spec.shape, values)?;
+    }
+    network.config = config.clone();
+    Ok(())
 }
 
 /// Reads the trained parameters of a large checkpoint; the others are read from the file whenever they are used.

@@ -1,0 +1,125 @@
+//! The convolutional stem of small configurations: what a pixel's neighbourhood looks like, for tokens and for heads.
+//!
+//! The released network has a pretrained encoder behind its 14-pixel patches. A small network that starts from nothing
+//! learns to read patches late, and its heads never see an edge; a few convolutions on colours and ray directions give
+//! both a start. `full` has no stem.
+
+use burn::tensor::Tensor;
+
+use super::config::{RGB_MEAN, RGB_STD, Stage1Config};
+use super::geometry::Camera;
+use crate::ops::{self, Conv, Linear};
+use crate::parameters::{Scope, from_host};
+use crate::{Error, Result};
+
+/// Side of the cells that a level of the stem sees as one pixel.
+pub const CELL: usize = 2;
+/// Colours, and the six channels of the ray map.
+pub const INPUTS: usize = 9;
+/// Levels whose features reach the tokens.
+pub const TOKEN_LEVELS: [usize; 2] = [2, 3];
+
+/// Features of the stem at a half, a quarter, an eighth and a sixteenth of the image size. `4 x [S, c, h, w]`
+pub type Pyramid = [Tensor<4>; 4];
+
+/// The stem over a scope of parameters (`stem`).
+pub struct Stem<'a> {
+    scope: Scope<'a>,
+    config: &'a Stage1Config,
+}
+
+impl<'a> Stem<'a> {
+    /// The stem of a scope.
+    #[must_use]
+    pub fn new(scope: Scope<'a>, config: &'a Stage1Config) -> Self {
+        Self { scope, config }
+    }
+
+    /// Features of images, RGB in [0, 1]. `[S, 3, H, W] -> 4 x [S, c, h, w]`
+    ///
+    /// # Errors
+    /// When a tensor is missing or has another shape, or the frames do not fit together.
+    pub fn features(&self, images: Tensor<4>, cameras: &[Camera]) -> Result<Pyramid> {
+        let [frames, _, height, width] = images.dims();
+        if cameras.len() != frames {
+            let poses = cameras.len();
+            return Err(Error::BadInput(format!("{frames} images come with {poses} cameras")));
+        }
+        let device = self.scope.device();
+        let channel = |values: [f32; 3]| from_host::<4>(values.to_vec(), [1, 3, 1, 1], device);
+        let colours = (images - channel(RGB_MEAN)) / channel(RGB_STD);
+        let rays = cameras
+            .iter()
+            .flat_map(|camera| camera.ray_map(height, width))
+            .collect();
+        let rays = from_host(rays, [frames, INPUTS - 3, height, width], device);
+        let first = self.level(0, Tensor::cat(vec![colours, rays], 1))?;
+        let second = self.level(1, first.clone())?;
+        let third = self.level(2, second.clone())?;
+        let fourth = self.level(3, third.clone())?;
+        Ok([first, second, third, fourth])
+    }
+
+    /// Two convolutions on the cells of a map. `[S, c', h, w] -> [S, c, h / 2, w / 2]`, sizes rounded up
+    fn level(&self, level: usize, map: Tensor<4>) -> Result<Tensor<4>> {
+        let scope = self.scope.child(format_args!("levels.{level}"));
+        let cells = cells(map);
+        let (inputs, outputs) = (cells.dims()[1], self.config.stem_channels[level]);
+        let first = Conv::load(&scope.child("conv1"), [outputs, inputs], 3, 1)?.forward(cells);
+        let second = Conv::load(&scope.child("conv2"), [outputs; 2], 3, 1)?.forward(ops::relu(first));
+        Ok(ops::relu(second))
+    }
+
+    /// What the features add to the patch tokens of a grid. `4 x [S, c, h, w] -> [S, N, C]`
+    ///
+    /// # Errors
+    /// When a tensor is missing or has another shape.
+    pub fn tokens(&self, features: &Pyramid, grid: [usize; 2]) -> Result<Tensor<3>> {
+        let maps = TOKEN_LEVELS.map(|level| ops::resize(features[level].clone(), grid));
+        let joined = Tensor::cat(maps.to_vec(), 1);
+        let [frames, channels, rows, columns] = joined.dims();
+        let rows = joined.reshape([frames, channels, rows * columns]).swap_dims(1, 2);
+        Ok(Linear::load(&self.scope.child("tokens"), self.config.width, channels)?.forward(rows))
+    }
+}
+
+/// The pixels of every cell as channels; a last row or column without a partner is doubled.
+/// `[S, c, h, w] -> [S, c * CELL^2, h / CELL, w / CELL]`, sizes rounded up
+fn cells(map: Tensor<4>) -> Tensor<4> {
+    let mut map = map;
+    for axis in [2, 3] {
+        let size = map.dims()[axis];
+        if !size.is_multiple_of(CELL) {
+            map = Tensor::cat(vec![map.clone(), map.narrow(axis, size - 1, 1)], axis);
+        }
+    }
+    let [frames, channels, height, width] = map.dims();
+    let (rows, columns) = (height / CELL, width / CELL);
+    map.reshape([frames, channels, rows, CELL, columns, CELL])
+        .permute([0, 1, 3, 5, 2, 4])
+        .reshape([frames, channels * CELL * CELL, rows, columns])
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::Device;
+
+    use super::*;
+    use crate::parameters::to_host;
+
+    #[test]
+    fn an_odd_side_is_made_even() {
+        let map = cells(from_host(vec![1.0, 2.0, 3.0], [1, 1, 1, 3], &Device::flex()));
+        assert_eq!(map.dims(), [1, 4, 1, 2]);
+        assert_eq!(to_host(map).unwrap(), [1.0, 3.0, 2.0, 3.0, 1.0, 3.0, 2.0, 3.0]);
+    }
+
+    #[test]
+    fn a_cell_keeps_its_pixels_in_reading_order() {
+        let values = (0..2 * 2 * 4).map(|value| value as f32).collect();
+        let map = cells(from_host(values, [1, 2, 2, 4], &Device::flex()));
+        assert_eq!(map.dims(), [1, 8, 1, 2]);
+        let expected = [0, 2, 1, 3, 4, 6, 5, 7, 8, 10, 9, 11, 12, 14, 13, 15];
+        assert_eq!(to_host(map).unwrap(), expected.map(|value| value as f32));
+    }
+}
