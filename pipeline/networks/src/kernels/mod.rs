@@ -2,13 +2,13 @@
 //!
 //! They run on plain slices, are vectorised for the instruction set found at run time, and give the same bytes for any
 //! number of threads: work is cut into tasks whose bounds do not depend on the threads, and each task sums in a fixed
-//! order. Of tensors that record gradients only 3x3 convolutions come here (see [`crate::ops`]).
+//! order. Operations on tensors that record gradients are in [`differentiable`].
 
 mod attention;
 mod bf16;
 mod conv;
-mod convolve;
 mod dense_tail;
+pub(crate) mod differentiable;
 mod extension;
 mod pointwise;
 mod product;
@@ -17,7 +17,6 @@ mod winograd;
 
 pub(crate) use attention::{HeadNorm, PackedAttention};
 pub(crate) use conv::{After, Conv3x3};
-pub(crate) use convolve::{convolve, usable as differentiable};
 pub(crate) use dense_tail::DenseTail;
 pub(crate) use extension::{pack, read, usable};
 pub(crate) use pointwise::gelu;

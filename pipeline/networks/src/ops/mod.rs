@@ -7,7 +7,7 @@ use burn::tensor::ops::{AttentionModuleOptions, ConvOptions, InterpolateMode, In
 use burn::tensor::{Tensor, activation};
 
 use crate::Result;
-use crate::kernels::{self, After, Conv3x3, HeadNorm, PackedWeight, Precision, Winograd};
+use crate::kernels::{self, After, Conv3x3, HeadNorm, PackedWeight, Precision, Winograd, differentiable};
 use crate::parameters::Scope;
 
 /// alpha / rank of low-rank updates: 16 / 32 (`stage1-network.md` section 9). The ratio is fixed, whatever the rank.
@@ -92,6 +92,12 @@ pub fn linear<const D: usize>(input: Tensor<D>, weight: Tensor<2>, bias: Option<
     if kernels::usable(&input) && kernels::usable(&weight) {
         return packed_linear(input, &weight, &Arc::default(), bias.as_ref());
     }
+    if let Some(bias) = bias
+        .as_ref()
+        .filter(|_| differentiable::usable(&input) && differentiable::usable(&weight))
+    {
+        return differentiable::linear(input, weight, bias.clone());
+    }
     let product = input.reshape([rows, inputs]).matmul(weight.transpose());
     dims[D - 1] = outputs;
     let sum = match bias {
@@ -161,6 +167,9 @@ impl LayerNorm {
     /// Applies the layer.
     #[must_use]
     pub fn forward<const D: usize>(&self, input: Tensor<D>) -> Tensor<D> {
+        if differentiable::usable(&input) {
+            return differentiable::layer_norm(input, self.weight.clone(), self.bias.clone(), self.epsilon);
+        }
         module::layer_norm(input, self.weight.clone(), Some(self.bias.clone()), self.epsilon)
     }
 }
@@ -188,18 +197,28 @@ impl HostNorm {
 pub fn standardise<const D: usize>(input: Tensor<D>, epsilon: f64) -> Tensor<D> {
     let size = input.dims()[D - 1];
     let ones = Tensor::<1>::ones([size], &input.device());
+    if differentiable::usable(&input) {
+        let zeros = ones.zeros_like();
+        return differentiable::layer_norm(input, ones, zeros, epsilon);
+    }
     module::layer_norm(input, ones, None, epsilon)
 }
 
 /// GELU in its exact (erf) form.
 #[must_use]
 pub fn gelu<const D: usize>(input: Tensor<D>) -> Tensor<D> {
+    if differentiable::usable(&input) {
+        return differentiable::gelu(input);
+    }
     activation::gelu(input)
 }
 
 /// softmax(q k^T / sqrt(head size)) v. `[B, heads, T, head size]` each
 #[must_use]
 pub fn attention(query: Tensor<4>, key: Tensor<4>, value: Tensor<4>) -> Tensor<4> {
+    if differentiable::usable(&query) {
+        return differentiable::attention(query, key, value);
+    }
     module::attention(query, key, value, None, None, AttentionModuleOptions::default())
 }
 
@@ -295,12 +314,12 @@ impl Conv {
         if size == 1 && self.stride == 1 {
             return self.pointwise(input, outputs, inputs);
         }
-        if size == 3 && self.stride == 1 && kernels::differentiable(&input, &self.weight) {
+        if size == 3 && self.stride == 1 && differentiable::usable(&input) && differentiable::usable(&self.weight) {
             let bias = self
                 .bias
                 .clone()
                 .unwrap_or_else(|| Tensor::zeros([outputs], &input.device()));
-            return kernels::convolve(input, self.weight.clone(), bias);
+            return differentiable::convolve(input, self.weight.clone(), bias);
         }
         let options = ConvOptions::new([self.stride; 2], [self.padding; 2], [1, 1], 1);
         module::conv2d(input, self.weight.clone(), self.bias.clone(), options)
@@ -360,6 +379,9 @@ pub fn resize(input: Tensor<4>, [height, width]: [usize; 2]) -> Tensor<4> {
     let [_, _, rows, columns] = input.dims();
     if [rows, columns] == [height, width] {
         return input;
+    }
+    if differentiable::usable(&input) {
+        return differentiable::resize(input, [height, width]);
     }
     let options = InterpolateOptions::new(InterpolateMode::Bilinear).with_align_corners(true);
     module::interpolate(input, options.with_output_size([height, width]))

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor};
 
+use crate::kernels::differentiable;
 use crate::parameters::from_host;
 
 /// Resamples the learned position embedding of a square grid to `rows x columns` with antialiased bicubic weights
@@ -175,6 +176,14 @@ impl Rotary {
     /// Rotates queries or keys. `[B, heads, T, head_size]`
     #[must_use]
     pub fn apply(&self, input: Tensor<4>) -> Tensor<4> {
+        if differentiable::usable(&input) {
+            return differentiable::rotate(input, self.table.clone());
+        }
+        self.apply_on_tensors(input)
+    }
+
+    /// [`Self::apply`] in operations of the framework.
+    pub(crate) fn apply_on_tensors(&self, input: Tensor<4>) -> Tensor<4> {
         let [batch, heads, tokens, size] = input.dims();
         let quarter = size / 4;
         let part = |index: usize| input.clone().narrow(3, index * quarter, quarter);

@@ -66,13 +66,7 @@ pub fn lift(network: &Stage1, sample: &Sample, conditioned: bool, heads: Heads) 
 ///
 /// # Errors
 /// When a tensor is missing or has another shape.
-pub fn decode(
-    network: &Stage1,
-    sample: &Sample,
-    encoded: &Encoded,
-    conditioned: bool,
-    heads: Heads,
-) -> Result<Lifted> {
+pub fn decode(network: &Stage1, sample: &Sample, encoded: &Encoded, conditioned: bool, heads: Heads) -> Result<Lifted> {
     let device = network.parameters.device();
     let [height, width] = sample.size;
     let views = sample.views.len();
@@ -101,12 +95,7 @@ pub fn decode(
 }
 
 /// Runs the attribute and motion heads at all query times.
-fn decode_queries(
-    network: &Stage1,
-    sample: &Sample,
-    encoded: &Encoded,
-    conditioned: bool,
-) -> Result<Vec<LiftedQuery>> {
+fn decode_queries(network: &Stage1, sample: &Sample, encoded: &Encoded, conditioned: bool) -> Result<Vec<LiftedQuery>> {
     let device = network.parameters.device();
     let [height, width] = sample.size;
     let (views, area) = (sample.views.len(), height * width);
