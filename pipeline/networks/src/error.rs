@@ -44,6 +44,9 @@ pub enum Error {
     /// A configuration is not one this network can have.
     #[error("the network configuration is not possible: {0}")]
     BadConfiguration(String),
+    /// The device cannot be used.
+    #[error("{0}")]
+    Device(String),
     /// An input does not fit the network.
     #[error("{0}")]
     BadInput(String),

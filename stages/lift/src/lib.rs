@@ -338,7 +338,7 @@ fn robot_links(source: &Source<'_>) -> Vec<u8> {
 pub(crate) fn stage_error(error: Error) -> StageError {
     match error {
         Error::Io { .. } => StageError::io(error.to_string()),
-        Error::BadConfiguration(_) => StageError::bad_params(error.to_string()),
+        Error::BadConfiguration(_) | Error::Device(_) => StageError::bad_params(error.to_string()),
         _ => StageError::bad_input(error.to_string()),
     }
 }

@@ -2,8 +2,9 @@
 
 use std::sync::OnceLock;
 
-use burn::tensor::Tensor;
+use burn::tensor::{Device, Tensor};
 use rayon::prelude::*;
+use rogs_networks::device;
 use rogs_networks::parameters::{from_host, to_host};
 use rogs_networks::stage1::decode::{self, MotionGates, activate_depth};
 use rogs_networks::stage1::head::{DenseHead, FkBranch};
@@ -56,10 +57,7 @@ pub(crate) fn lift_base(
         }
         Ok((to_host(depth.narrow(1, 0, 1))?, to_host(raw)?))
     };
-    let maps: Vec<_> = (0..encoded.frames())
-        .into_par_iter()
-        .map(frame)
-        .collect::<rogs_networks::Result<_>>()?;
+    let maps = for_every(encoded.frames(), network.parameters.device(), frame)?;
 
     let (area, width) = (source.area(), source.clip.width as usize);
     let count = maps.len() * area;
@@ -95,6 +93,20 @@ pub(crate) fn lift_base(
         interleave(&raw, area, RAW_CHANNELS, &mut base.raw);
     }
     Ok(base)
+}
+
+/// Runs a function for every frame: at the same time on the processor, one after the other on a graphics processor, which has
+/// one queue and whose memory several frames would share.
+fn for_every<T: Send>(
+    frames: usize,
+    device: &Device,
+    function: impl Fn(usize) -> rogs_networks::Result<T> + Send + Sync,
+) -> rogs_networks::Result<Vec<T>> {
+    if device::is_cpu(device) {
+        (0..frames).into_par_iter().map(function).collect()
+    } else {
+        (0..frames).map(function).collect()
+    }
 }
 
 /// Appends planar channels pixel by pixel.
@@ -169,10 +181,7 @@ impl MotionHeads {
         let area = height * width;
         let view = |index: usize| -> rogs_networks::Result<ViewSlice> {
             let one = encoded.frames_at(index, 1);
-            let visual = self
-                .motion
-                .forward(&motion, &one)
-                .narrow(1, 0, 3);
+            let visual = self.motion.forward(&motion, &one).narrow(1, 0, 3);
             let device = visual.device();
             let total = match &self.fk {
                 Some(fk) => {
@@ -221,10 +230,7 @@ impl MotionHeads {
                 moving_raw,
             })
         };
-        let views: Vec<ViewSlice> = (0..encoded.frames())
-            .into_par_iter()
-            .map(view)
-            .collect::<rogs_networks::Result<_>>()?;
+        let views = for_every(encoded.frames(), &encoded.taps[0].device(), view)?;
         let mut slice = TimeSlice {
             time,
             displacement_m: Vec::new(),

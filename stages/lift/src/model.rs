@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use burn::tensor::Device;
-use rogs_networks::checkpoint;
 use rogs_networks::stage1::{Stage1, Stage1Config, seeded};
+use rogs_networks::{checkpoint, device};
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::WeightsInfo;
 use rogs_worker::{StageError, StageResult};
@@ -45,7 +45,7 @@ impl Model {
 /// # Errors
 /// When the file cannot be read or is no Stage-1 checkpoint, or the configuration is not known.
 pub fn load_model(params: &LiftParams, weights: Option<&Path>) -> StageResult<Model> {
-    let device = Device::flex();
+    let device = device::open(&params.device).map_err(stage_error)?;
     let mut model = match weights {
         Some(path) => read(path, &device)?,
         None => generated(params, &device)?,

@@ -1,5 +1,6 @@
 //! Parameters of the stage; the defaults are the paper's method.
 
+use rogs_networks::device;
 use rogs_networks::stage1::Precision;
 use rogs_networks::stage1::decode::{MOTION_GATE_IU, MotionGates};
 use rogs_worker::{StageError, StageResult};
@@ -37,6 +38,8 @@ pub struct LiftParams {
     pub query_state: QueryState,
     /// Numbers of the large matrix products of encoder and aggregator.
     pub precision: Numbers,
+    /// Where the network runs: `cpu`, or `gpu` where the program was built with the feature `gpu`.
+    pub device: String,
     /// What patch tokens are made from.
     pub tokens: TokenSource,
     /// Pixels per latent that the latents must have (8 or 16); null for what their file says.
@@ -124,6 +127,7 @@ impl Default for LiftParams {
             source_frames: None,
             query_state: QueryState::Auto,
             precision: Numbers::F32,
+            device: "cpu".into(),
             tokens: TokenSource::Rgb,
             latent_stride: None,
         }
@@ -163,6 +167,19 @@ impl LiftParams {
         if self.latent_stride.is_some_and(|stride| ![8, 16].contains(&stride)) {
             return Err(StageError::bad_params("`latent_stride` must be 8 or 16, or null"));
         }
+        if !device::NAMES.contains(&self.device.as_str()) {
+            return Err(StageError::bad_params(format!(
+                "`device` must be `cpu` or `gpu`, not `{}`",
+                self.device
+            )));
+        }
+        if self.device != "cpu" && self.precision == Numbers::Bf16 {
+            return Err(StageError::bad_params(
+                "`precision = \"bf16\"` is for the processor: graphics processors are programmed in WGSL here, which has no \
+                 bfloat16 numbers",
+            )
+            .with_hint("leave `precision` at \"f32\", or choose `device = \"cpu\"`"));
+        }
         let plain = !self.anchoring
             && !self.fk_conditioning
             && self.robot_motion == RobotMotion::Network
@@ -193,6 +210,30 @@ impl LiftParams {
             QueryState::Auto => configuration != "full" && self.attention != CrossCamera::CameraWise,
             QueryState::Keep => true,
             QueryState::Drop => false,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_device_is_one_that_there_is() {
+        let on = |device: &str, precision| LiftParams {
+            device: device.into(),
+            precision,
+            ..LiftParams::default()
+        };
+        assert!(on("cpu", Numbers::Bf16).validate().is_ok());
+        assert!(on("gpu", Numbers::F32).validate().is_ok());
+        let error = on("gpu", Numbers::Bf16).validate().unwrap_err();
+        assert!(error.message.contains("no bfloat16"), "{}", error.message);
+        let error = on("tpu", Numbers::F32).validate().unwrap_err();
+        assert!(error.message.contains("`cpu` or `gpu`"), "{}", error.message);
+        if cfg!(not(feature = "gpu")) {
+            let error = crate::load_model(&on("gpu", Numbers::F32), None).err().unwrap();
+            assert!(error.message.contains("feature `gpu`"), "{}", error.message);
         }
     }
 }

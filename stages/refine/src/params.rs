@@ -1,5 +1,6 @@
 //! Parameters of the stage.
 
+use rogs_networks::device;
 use rogs_networks::stage2::RefinerConfig;
 use rogs_schemas::records::refinement::ScaleResidual;
 use rogs_worker::{StageError, StageResult};
@@ -29,6 +30,8 @@ pub struct RefineParams {
     pub recompute_knn: bool,
     /// Seed of the weights when no weights file is given.
     pub seed: u64,
+    /// Where the updater runs: `cpu`, or `gpu` where the program was built with the feature `gpu`.
+    pub device: String,
 }
 
 impl Default for RefineParams {
@@ -42,6 +45,7 @@ impl Default for RefineParams {
             scale_residual: ScaleResidual::PreActivation,
             recompute_knn: false,
             seed: 0,
+            device: "cpu".into(),
         }
     }
 }
@@ -63,6 +67,12 @@ impl RefineParams {
             return Err(StageError::bad_params(format!(
                 "`epsilon` must be a number of pixels, not negative: {}",
                 self.epsilon
+            )));
+        }
+        if !device::NAMES.contains(&self.device.as_str()) {
+            return Err(StageError::bad_params(format!(
+                "`device` must be `cpu` or `gpu`, not `{}`",
+                self.device
             )));
         }
         Ok((config, updates))
@@ -87,6 +97,17 @@ mod tests {
             ..RefineParams::default()
         };
         assert!(wrong.resolve().unwrap_err().message.contains("paper, cpu, ci"));
+        let on = |device: &str| RefineParams {
+            device: device.into(),
+            ..RefineParams::default()
+        };
+        assert!(on("gpu").resolve().is_ok());
+        let error = on("tpu").resolve().unwrap_err();
+        assert!(error.message.contains("`cpu` or `gpu`"), "{}", error.message);
+        if cfg!(not(feature = "gpu")) {
+            let error = crate::load_refiner(&on("gpu"), None).err().unwrap();
+            assert!(error.message.contains("feature `gpu`"), "{}", error.message);
+        }
         assert!(
             RefineParams {
                 updates: Some(65),

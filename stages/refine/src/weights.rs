@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use rogs_networks::device;
 use rogs_networks::stage2::{Device, Refiner, RefinerConfig, read_weights, seeded_parameters, verify_parameters};
 use rogs_schemas::records::field::WeightsInfo;
 use rogs_worker::{StageError, StageResult};
@@ -28,15 +29,16 @@ pub static CI_WEIGHTS: &[u8] = include_bytes!("../weights/ci-stage2.safetensors"
 /// When the file cannot be read or does not fit the preset.
 pub fn load_refiner(params: &RefineParams, weights: Option<&Path>) -> StageResult<LoadedRefiner> {
     let (config, _) = params.resolve()?;
+    let device = device::open(&params.device).map_err(|error| StageError::bad_params(error.to_string()))?;
     match weights {
-        Some(path) => from_file(params, &config, path),
-        None => seeded(params, &config),
+        Some(path) => from_file(params, &config, path, &device),
+        None => seeded(params, &config, &device),
     }
 }
 
-fn seeded(params: &RefineParams, config: &RefinerConfig) -> StageResult<LoadedRefiner> {
-    let parameters = seeded_parameters(config, params.seed, &Device::flex())
-        .map_err(|error| StageError::bad_params(error.to_string()))?;
+fn seeded(params: &RefineParams, config: &RefinerConfig, device: &Device) -> StageResult<LoadedRefiner> {
+    let parameters =
+        seeded_parameters(config, params.seed, device).map_err(|error| StageError::bad_params(error.to_string()))?;
     let refiner = Refiner::load(&parameters, config).map_err(|error| StageError::internal(error.to_string()))?;
     let info = WeightsInfo {
         trained: false,
@@ -53,7 +55,12 @@ fn seeded(params: &RefineParams, config: &RefinerConfig) -> StageResult<LoadedRe
     })
 }
 
-fn from_file(params: &RefineParams, config: &RefinerConfig, path: &Path) -> StageResult<LoadedRefiner> {
+fn from_file(
+    params: &RefineParams,
+    config: &RefinerConfig,
+    path: &Path,
+    device: &Device,
+) -> StageResult<LoadedRefiner> {
     let shown = path.display();
     let wrong = |error: rogs_networks::Error| {
         StageError::bad_input(format!("weights `{shown}`: {error}")).with_hint(format!(
@@ -61,7 +68,7 @@ fn from_file(params: &RefineParams, config: &RefinerConfig, path: &Path) -> Stag
             config.name
         ))
     };
-    let mut parameters = read_weights(path, config, &Device::flex()).map_err(wrong)?;
+    let mut parameters = read_weights(path, config, device).map_err(wrong)?;
     let filled = verify_parameters(&mut parameters, config, params.seed).map_err(wrong)?;
     let refiner = Refiner::load(&parameters, config).map_err(wrong)?;
     let hash = rogs_schemas::source::hash_file(path)?.to_string();

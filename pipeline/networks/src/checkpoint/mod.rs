@@ -33,7 +33,8 @@ pub const TRAINED: &str = "rogs.trained";
 pub const PROVENANCE: &str = "rogs.provenance";
 /// Kind of a Stage-1 checkpoint.
 pub const STAGE1: &str = "stage1";
-/// Networks of at most this many parameters are held in memory; larger ones are read from the mapped file as they run.
+/// Networks of at most this many parameters are held in memory; larger ones are read from the mapped file as they run. A
+/// graphics processor holds any in its own memory, so that a clip costs no uploads of weights.
 const RESIDENT_PARAMETERS: usize = 64 << 20;
 
 /// Metadata of a Stage-1 checkpoint.
@@ -98,7 +99,7 @@ pub fn open_stage1(path: &Path, device: &Device) -> Result<LoadedStage1> {
         metadata.get(TRAINED).is_some_and(|value| value == "true"),
         metadata.get(PROVENANCE).cloned().unwrap_or_default(),
     );
-    let parameters = if file.len() <= RESIDENT_PARAMETERS {
+    let parameters = if file.len() <= RESIDENT_PARAMETERS || !crate::device::is_cpu(device) {
         resident(&file, device)?
     } else {
         Parameters::streaming(Box::new(file), device)

@@ -4,6 +4,7 @@ use burn::tensor::Tensor;
 
 use super::positions::Rotary;
 use crate::Result;
+use crate::device;
 use crate::kernels::{self, PackedAttention, Precision};
 use crate::ops::{self, HostNorm, LayerNorm, Linear};
 use crate::parameters::Scope;
@@ -123,7 +124,7 @@ impl Block {
         }
         let [query, key, value] = self.queries_keys_values(input.clone(), rotary);
         let [batch, heads, tokens, size] = query.dims();
-        let mixed = ops::attention(query, key, value)
+        let mixed = attention(query, key, value)
             .swap_dims(1, 2)
             .reshape([batch, tokens, heads * size]);
         input + self.scaled(self.projection.forward(mixed), 0)
@@ -251,6 +252,23 @@ impl Block {
             None => branch,
         }
     }
+}
+
+/// Scores that a graphics processor holds at a time; many refuse buffers of more than 128 MiB.
+const SCORES: usize = 24 << 20;
+
+/// Attention; on a graphics processor, whose framework holds all scores at once, for as many queries at a time as fit.
+fn attention(query: Tensor<4>, key: Tensor<4>, value: Tensor<4>) -> Tensor<4> {
+    let [batch, heads, tokens, _] = query.dims();
+    let rows = (SCORES / (batch * heads * key.dims()[2]).max(1)).max(1);
+    if device::is_cpu(&query.device()) || rows >= tokens {
+        return ops::attention(query, key, value);
+    }
+    let piece = |first: usize| {
+        let queries = query.clone().narrow(2, first, rows.min(tokens - first));
+        ops::attention(queries, key.clone(), value.clone())
+    };
+    Tensor::cat((0..tokens).step_by(rows).map(piece).collect(), 2)
 }
 
 /// The bias of a layer on the host, zeros where it has none.

@@ -1,0 +1,65 @@
+//! Where networks run: on the processor, or (feature `gpu`) on a graphics processor through burn's wgpu backend.
+//!
+//! The kernels of this crate are for the processor. On a graphics processor every part that takes tensors runs through
+//! the operations of the framework, in f32: Stage 1 whole, and the updater of Stage 2. What is made of host arrays stays on
+//! the processor: the error encoder of Stage 2, the neighbour search, the pooling of contributions.
+
+use burn::tensor::Device;
+
+use crate::{Error, Result};
+
+/// Names of [`open`].
+pub const NAMES: [&str; 2] = ["cpu", "gpu"];
+
+/// The device of a name: `cpu`, or `gpu` for the system's preferred graphics adapter, which networks share with the
+/// rasteriser.
+///
+/// # Errors
+/// When the name is another, when this program was built without the feature `gpu`, or when there is no adapter.
+pub fn open(name: &str) -> Result<Device> {
+    match name {
+        "cpu" => Ok(Device::flex()),
+        "gpu" => graphics(),
+        _ => Err(Error::BadConfiguration(format!(
+            "a device is `cpu` or `gpu`, not `{name}`"
+        ))),
+    }
+}
+
+/// Whether tensors of a device are those of the processor, recording gradients or not.
+#[must_use]
+pub fn is_cpu(device: &Device) -> bool {
+    *device == Device::flex()
+}
+
+#[cfg(feature = "gpu")]
+fn graphics() -> Result<Device> {
+    // The rasteriser opens the adapter and says what is wrong; the framework takes the same one lazily, and panics.
+    rogs_splat::GpuDevice::open().map_err(|error| Error::Device(error.to_string()))?;
+    Ok(Device::wgpu(burn::tensor::DeviceKind::DefaultDevice))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn graphics() -> Result<Device> {
+    Err(Error::Device(
+        "this program was built without graphics processors; build it with the feature `gpu`, or choose the device `cpu`"
+            .into(),
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_told() {
+        assert!(is_cpu(&open("cpu").unwrap()));
+        assert!(is_cpu(&Device::flex().autodiff()));
+        let error = open("tpu").unwrap_err().to_string();
+        assert!(error.contains("`cpu` or `gpu`, not `tpu`"), "{error}");
+        if cfg!(not(feature = "gpu")) {
+            let error = open("gpu").unwrap_err().to_string();
+            assert!(error.contains("feature `gpu`"), "{error}");
+        }
+    }
+}
