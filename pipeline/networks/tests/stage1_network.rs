@@ -6,60 +6,11 @@ use std::collections::BTreeMap;
 
 use burn::tensor::{Device, Tensor};
 use rogs_networks::parameters::Parameters;
-use rogs_networks::stage1::decode::{self, MotionGates, activate_depth, gate_attributes};
+use rogs_networks::stage1::decode::{self, MotionGates, gate_attributes};
 use rogs_networks::stage1::head::FkBranch;
-use rogs_networks::stage1::{Attention, Encoded, HeadKind, Precision, SourceFrames, Stage1, losses};
+use rogs_networks::stage1::{HeadKind, Precision, losses};
+use support::network::{ATTRIBUTES, frames, run};
 use support::{Golden, close, host, scaled_tolerance, tiny, worst};
-
-/// Names and channels of the attributes in a raw map.
-const ATTRIBUTES: [(&str, usize, usize); 5] = [
-    ("color", 0, 3),
-    ("scale", 3, 3),
-    ("rotation", 6, 4),
-    ("opacity", 10, 1),
-    ("conf", 11, 1),
-];
-
-fn frames(golden: &Golden, device: &Device) -> SourceFrames {
-    SourceFrames {
-        images: golden.tensor("in.images", [4, 3, 28, 42], device),
-        cameras: golden.cameras("in.C2W", "in.fxfycxcy"),
-        times: golden.values("in.input_timesteps").to_vec(),
-        attention: Attention::Joint,
-    }
-}
-
-/// Outputs of the network as the reference lists them.
-struct Outputs {
-    depth: Tensor<4>,
-    base: Tensor<4>,
-    motion: Vec<Tensor<4>>,
-    timed: Vec<Tensor<4>>,
-}
-
-fn run(network: &Stage1, encoded: &Encoded, images: Tensor<4>, times: &[f32]) -> Outputs {
-    let head = |kind| network.head(kind).unwrap();
-    let (depth, splat, motion, timed) = (
-        head(HeadKind::Depth),
-        head(HeadKind::Splat),
-        head(HeadKind::Motion),
-        head(HeadKind::MotionSplat),
-    );
-    let base = splat.forward(&splat.projections(None), encoded) + splat.shortcut(images).unwrap();
-    let shortcut = timed.shortcut(base.clone().narrow(1, 0, 11)).unwrap();
-    Outputs {
-        depth: activate_depth(depth.forward(&depth.projections(None), encoded)),
-        base,
-        motion: times
-            .iter()
-            .map(|&time| motion.forward(&motion.projections(Some(time)), encoded))
-            .collect(),
-        timed: times
-            .iter()
-            .map(|&time| timed.forward(&timed.projections(Some(time)), encoded) + shortcut.clone())
-            .collect(),
-    }
-}
 
 #[test]
 fn bf16_products_stay_near_the_reference() {
@@ -190,9 +141,7 @@ fn full_forward() {
     let alone = encoded.frames_at(2, 1);
     let depth = network.head(HeadKind::Depth).unwrap();
     let projections = depth.projections(None);
-    let all = depth
-        .forward(&projections, &encoded)
-        .narrow(0, 2, 1);
+    let all = depth.forward(&projections, &encoded).narrow(0, 2, 1);
     let one = depth.forward(&projections, &alone);
     assert!(worst(&host(one), &host(all)) <= 1e-6, "splitting frames changes a head");
 }

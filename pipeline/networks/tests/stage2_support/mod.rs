@@ -1,11 +1,17 @@
 //! Golden files of Stage 2 and comparisons with them.
 
+pub(crate) mod updates;
+
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use burn::tensor::Device;
 use rogs_networks::parameters::Parameters;
 use rogs_networks::stage2::{Plane, RefinerConfig, TokenGrid};
+
+/// Tolerance of features and attributes, and of hidden states: |a - b| <= absolute + 1e-4 |b|.
+pub(crate) const FEATURE: f64 = 1e-4;
+pub(crate) const STATE: f64 = 2e-4;
 
 /// A golden file in memory.
 pub(crate) struct Golden {
@@ -127,8 +133,8 @@ impl Golden {
     }
 
     /// The weights of the file.
-    pub(crate) fn parameters(&self) -> Parameters {
-        let mut parameters = Parameters::new(&Device::flex());
+    pub(crate) fn parameters(&self, device: &Device) -> Parameters {
+        let mut parameters = Parameters::new(device);
         for (name, (shape, values)) in &self.arrays {
             if let Some(name) = name.strip_prefix("w.") {
                 parameters.insert(name, shape, values.clone()).unwrap();
@@ -138,8 +144,8 @@ impl Golden {
     }
 
     /// The same with this project's own parameters, which files of the donor lack (zero, as their values do not enter).
-    pub(crate) fn parameters_with_own(&self, _device: &Device, width: usize) -> Parameters {
-        let mut parameters = self.parameters();
+    pub(crate) fn parameters_with_own(&self, device: &Device, width: usize) -> Parameters {
+        let mut parameters = self.parameters(device);
         parameters
             .insert(
                 "encoder.update_obs_proj.weight",

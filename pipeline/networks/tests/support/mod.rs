@@ -1,6 +1,8 @@
 //! Reading golden vectors.
 #![allow(dead_code, unreachable_pub)]
 
+pub mod network;
+
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
