@@ -59,6 +59,7 @@ pub mod raster_device;
 pub mod render;
 pub mod sh;
 mod simd;
+mod spare;
 mod tile;
 
 pub use backward::{

@@ -1,6 +1,6 @@
 //! The depth order of a tile: keys are collected from all chunks and sorted by camera z, ties by index.
 
-use crate::project::Projection;
+use crate::project::{ChunkBins, Projection};
 
 /// Buffers of a tile's list, reused from tile to tile.
 #[derive(Debug, Default)]
@@ -23,6 +23,11 @@ impl TileList {
         self.keys.clear();
         self.segments.clear();
         self.segments.push(0);
+        let entries = |chunk: &ChunkBins| (chunk.offsets[tile + 1] - chunk.offsets[tile]) as usize;
+        let count = projection.chunks.iter().map(entries).sum();
+        self.records.reserve(count);
+        self.keys.reserve(count);
+        self.segments.reserve(projection.chunks.len() + 1);
         let (mut low, mut high) = (u32::MAX, 0_u32);
         for chunk in &projection.chunks {
             let range = chunk.offsets[tile] as usize..chunk.offsets[tile + 1] as usize;
@@ -40,6 +45,18 @@ impl TileList {
         self.order.clear();
         self.order
             .extend(self.keys.iter().map(|&key| self.records[(key & 0xffff_ffff) as usize]));
+    }
+
+    /// The list; what it no longer needs stays for the next one.
+    pub(crate) fn take(&mut self) -> Self {
+        let spare = std::mem::take(&mut self.spare);
+        std::mem::replace(
+            self,
+            Self {
+                spare,
+                ..Self::default()
+            },
+        )
     }
 
     /// Number of entries.

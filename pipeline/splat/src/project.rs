@@ -5,8 +5,6 @@
 //! visible ones and files `(depth, record)` keys by tile. Chunks are independent; a tile later collects its keys from all
 //! chunks in order, so that neither threads nor chunks show in the result.
 
-use std::sync::Mutex;
-
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
@@ -15,6 +13,7 @@ use crate::error::{Result, SplatError};
 use crate::gaussians::{Colour, Gaussians};
 use crate::sh;
 use crate::simd::{LANES, dispatch};
+use crate::spare::{Buffer, Pool};
 
 /// Gaussians per chunk.
 pub(crate) const CHUNK: usize = 8192;
@@ -64,50 +63,15 @@ pub(crate) struct ChunkBins {
 /// All visible Gaussians of a view, and where they are.
 pub(crate) struct Projection {
     /// Records; chunk `c` starts at `c * CHUNK` and uses as many as it has visible Gaussians.
-    pub(crate) records: RecordBuffer,
+    pub(crate) records: Buffer<Projected>,
     pub(crate) chunks: Vec<ChunkBins>,
     pub(crate) grid: Grid,
     pub(crate) visible: usize,
     pub(crate) invalid: usize,
 }
 
-/// Records of a view. Buffers are kept for the next view when they are dropped: fresh memory of this size costs more
-/// than the projection itself. What an earlier view left in them is never read.
-pub(crate) struct RecordBuffer(Vec<Projected>);
-
-static SPARE_BUFFERS: Mutex<Vec<Vec<Projected>>> = Mutex::new(Vec::new());
-/// Most buffers that are kept, and the most records of each (256 MB).
-const SPARE: usize = 4;
-const SPARE_RECORDS: usize = 1 << 22;
-
-impl RecordBuffer {
-    fn take(count: usize) -> Self {
-        let spare = SPARE_BUFFERS.lock().ok().and_then(|mut spare| spare.pop());
-        match spare {
-            Some(buffer) if buffer.len() >= count => Self(buffer),
-            _ => Self(bytemuck::zeroed_vec(count)),
-        }
-    }
-}
-
-impl Drop for RecordBuffer {
-    fn drop(&mut self) {
-        if (1..=SPARE_RECORDS).contains(&self.0.len())
-            && let Ok(mut spare) = SPARE_BUFFERS.lock()
-            && spare.len() < SPARE
-        {
-            spare.push(std::mem::take(&mut self.0));
-        }
-    }
-}
-
-impl std::ops::Deref for RecordBuffer {
-    type Target = [Projected];
-
-    fn deref(&self) -> &[Projected] {
-        &self.0
-    }
-}
+/// Buffers of records, up to 256 MB each.
+static RECORDS: Pool<Projected> = Pool::new(1 << 22);
 
 /// The tiles of an image.
 #[derive(Debug, Clone, Copy)]
@@ -137,7 +101,7 @@ impl Grid {
 /// When so many Gaussians cover so many tiles that the lists would not fit in memory.
 pub(crate) fn project_views(gaussians: &Gaussians, views: &[View], config: &RasterConfig) -> Result<Vec<Projection>> {
     let count = gaussians.len();
-    let mut buffers: Vec<RecordBuffer> = views.iter().map(|_| RecordBuffer::take(count)).collect();
+    let mut buffers: Vec<Buffer<Projected>> = views.iter().map(|_| RECORDS.take(count)).collect();
     let grids: Vec<Grid> = views
         .iter()
         .map(|view| Grid::new(view, config.tile_size as usize))
@@ -146,7 +110,7 @@ pub(crate) fn project_views(gaussians: &Gaussians, views: &[View], config: &Rast
     let mut pieces: Vec<Vec<&mut [Projected]>> = Vec::new();
     pieces.resize_with(count.div_ceil(CHUNK), || Vec::with_capacity(views.len()));
     for buffer in &mut buffers {
-        for (piece, records) in pieces.iter_mut().zip(buffer.0[..count].chunks_mut(CHUNK)) {
+        for (piece, records) in pieces.iter_mut().zip(buffer.chunks_mut(CHUNK)) {
             piece.push(records);
         }
     }

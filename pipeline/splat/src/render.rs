@@ -176,7 +176,7 @@ impl Work<'_> {
             output.take(&blocks[..area.blocks()], first, count, TRACE);
         }
         if TRACE || CONTRIBUTE {
-            output.list = std::mem::take(list);
+            output.list = list.take();
         }
         output
     }

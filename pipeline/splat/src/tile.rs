@@ -136,7 +136,7 @@ pub(crate) struct Extra<'a> {
 
 impl Extra<'_> {
     #[inline(always)]
-    fn copy(&self, gaussian: usize, to: &mut [f32]) {
+    pub(crate) fn copy(&self, gaussian: usize, to: &mut [f32]) {
         let from = gaussian * self.channels + self.first;
         to[..self.count].copy_from_slice(&self.values[from..from + self.count]);
     }

@@ -79,6 +79,7 @@ impl WithSimd for Chain<'_> {
         let mut input = Input::new();
         let mut output = Output::new();
         let mut camera = CameraGradient::default();
+        let mut poses = [[0.0_f64; LANES]; 12];
         let mut live = [0; LANES];
         let mut count = 0;
         let records = self.records.len();
@@ -91,10 +92,22 @@ impl WithSimd for Chain<'_> {
             }
             if count == LANES || (local + 1 == records && count > 0) {
                 chain_lanes(&input, self.view, self.config, &mut output);
+                let mut counted = [0.0; LANES];
                 for lane in 0..count {
-                    self.take(live[lane], lane, &output, stride, &mut camera);
+                    let taken = self.take(live[lane], lane, &mut output, stride);
+                    camera.not_finite += usize::from(!taken);
+                    counted[lane] = f32::from(taken);
                 }
+                add_poses(&output, &counted, &mut poses);
                 count = 0;
+            }
+        }
+        for (k, lanes) in poses.iter().enumerate() {
+            let sum = lanes.iter().sum();
+            if k < 9 {
+                camera.rotation[k] = sum;
+            } else {
+                camera.translation[k - 9] = sum;
             }
         }
         camera
@@ -102,22 +115,21 @@ impl WithSimd for Chain<'_> {
 }
 
 impl Chain<'_> {
-    /// Adds the gradients of one lane, unless they are not finite.
+    /// Adds the gradients of one lane to its Gaussian's, unless they are not finite.
     #[inline(always)]
-    fn take(&mut self, local: usize, lane: usize, output: &Output, stride: usize, camera: &mut CameraGradient) {
+    fn take(&mut self, local: usize, lane: usize, output: &mut Output, stride: usize) -> bool {
         let record = &self.records[local];
         let sums = &self.sums[local * stride..(local + 1) * stride];
         let row = record.gaussian as usize - self.first;
-        let mut mean = output.mean.map(|v| v[lane]);
-        let quat = output.quat.map(|v| v[lane]);
-        let scale = output.scale.map(|v| v[lane]);
+        let mut mean = [output.mean[0][lane], output.mean[1][lane], output.mean[2][lane]];
+        let [w, x, y, z] = &output.quat;
+        let quat = [w[lane], x[lane], y[lane], z[lane]];
+        let scale = [output.scale[0][lane], output.scale[1][lane], output.scale[2][lane]];
         let opacity = output.opacity[lane];
-        let mut pose = output.camera.map(|v| v[lane]);
         let finite = |values: &[f32]| values.iter().fold(0.0_f32, |sum, v| sum + v * 0.0) == 0.0;
         let extra = &sums[MOMENTS..];
         if output.check[lane] != 0.0 || (!extra.is_empty() && !finite(extra)) {
-            camera.not_finite += 1;
-            return;
+            return false;
         }
         let fresh = self.fresh;
         let add = |to: &mut [f32], from: &[f32]| {
@@ -132,13 +144,12 @@ impl Chain<'_> {
                 mean[k] += through_mean[k];
                 for i in 0..3 {
                     // g_centre = -g_mean and centre_k = -sum_i R_ik t_i.
-                    pose[3 * i + k] += self.view.t[i] * through_mean[k];
-                    pose[9 + i] += self.view.r[3 * i + k] * through_mean[k];
+                    output.camera[3 * i + k][lane] += self.view.t[i] * through_mean[k];
+                    output.camera[9 + i][lane] += self.view.r[3 * i + k] * through_mean[k];
                 }
             }
             if !finite(colour) || !finite(&mean) {
-                camera.not_finite += 1;
-                return;
+                return false;
             }
             let per = colour.len();
             add(&mut self.rows.colours[per * row..per * (row + 1)], colour);
@@ -152,12 +163,7 @@ impl Chain<'_> {
         add(&mut self.rows.opacities[row..=row], &[opacity]);
         let channels = extra.len();
         add(&mut self.rows.extra[channels * row..channels * (row + 1)], extra);
-        for k in 0..9 {
-            camera.rotation[k] += f64::from(pose[k]);
-        }
-        for k in 0..3 {
-            camera.translation[k] += f64::from(pose[9 + k]);
-        }
+        true
     }
 
     /// Section 9.4: gradients with respect to the coefficients and, through the direction, to the mean.
@@ -243,6 +249,21 @@ impl Output {
             opacity: zero,
             camera: [zero; 12],
             check: zero,
+        }
+    }
+}
+
+/// Adds the pose gradients of the lanes that count.
+#[inline(always)]
+fn add_poses(output: &Output, counted: &L, poses: &mut [[f64; LANES]; 12]) {
+    for k in 0..12 {
+        for lane in 0..LANES {
+            let value = if counted[lane] > 0.0 {
+                output.camera[k][lane]
+            } else {
+                0.0
+            };
+            poses[k][lane] += f64::from(value);
         }
     }
 }

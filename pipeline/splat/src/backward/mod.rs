@@ -172,12 +172,6 @@ impl RenderGradient<'_> {
 /// `l = la dx + lb dy`, then the gradients of red, green, blue and z.
 const MOMENTS: usize = 10;
 
-/// Gradients of one tile.
-struct TileGradient {
-    slots: tile::Slots,
-    background: [f64; 3],
-}
-
 struct Pass<'a> {
     gaussians: &'a Gaussians,
     config: &'a RasterConfig,
@@ -186,13 +180,16 @@ struct Pass<'a> {
 }
 
 impl Pass<'_> {
-    fn tile(&self, tile: &TileOutput) -> TileGradient {
+    /// Moments and extra channels of one row.
+    fn stride(&self) -> usize {
+        MOMENTS + self.tape.extra_channels
+    }
+
+    /// Fills the rows of a tile; returns the gradient of the background.
+    fn tile(&self, tile: &TileOutput, touched: &tile::Touched, rows: &mut [f32]) -> [f64; 3] {
         let channels = self.tape.extra_channels;
-        let mut slots = tile::Slots {
-            index: vec![0; tile.list.len()],
-            rows: Vec::new(),
-        };
         let (pixels, background) = self.output_layer(tile);
+        let depth = !(self.gradient.depth_accumulated.is_empty() && self.gradient.depth_expected.is_empty());
         for first in (0..channels.max(1)).step_by(EXTRA) {
             let count = EXTRA.min(channels - first.min(channels));
             let extra = Extra {
@@ -201,32 +198,35 @@ impl Pass<'_> {
                 first,
                 count,
             };
-            let records = &self.tape.projection.records;
-            let alpha_max = self.config.alpha_max;
-            let slots = &mut slots;
-            if count == 0 {
-                let kernel = tile::Walk::<0> {
-                    tile,
-                    records,
-                    extra,
-                    alpha_max,
-                    pixels: &pixels,
-                    slots,
-                };
-                dispatch(self.config.simd, kernel);
+            if count > 0 {
+                self.walk::<EXTRA, true>(tile, touched, extra, &pixels, rows);
+            } else if depth {
+                self.walk::<0, true>(tile, touched, extra, &pixels, rows);
             } else {
-                let kernel = tile::Walk::<EXTRA> {
-                    tile,
-                    records,
-                    extra,
-                    alpha_max,
-                    pixels: &pixels,
-                    slots,
-                };
-                dispatch(self.config.simd, kernel);
+                self.walk::<0, false>(tile, touched, extra, &pixels, rows);
             }
         }
-        TileGradient { slots, background }
+        background
+    }
+
+    fn walk<const X: usize, const DEPTH: bool>(
+        &self,
+        tile: &TileOutput,
+        touched: &tile::Touched,
+        extra: Extra<'_>,
+        pixels: &PixelGradient,
+        rows: &mut [f32],
+    ) {
+        let kernel = tile::Walk::<'_, X, DEPTH> {
+            tile,
+            touched,
+            records: &self.tape.projection.records,
+            extra,
+            alpha_max: self.config.alpha_max,
+            pixels,
+            rows,
+        };
+        dispatch(self.config.simd, kernel);
     }
 
     /// Section 9.1: gradients with respect to the accumulated channels, and the start of the walk.
@@ -278,25 +278,24 @@ impl Pass<'_> {
         (pixels, background)
     }
 
-    /// The tiles' slots of a chunk's records, added in tile order: `[records, MOMENTS + E]`.
-    fn sums(&self, tiles: &[TileGradient], chunk: usize) -> Vec<f32> {
-        let stride = MOMENTS + self.tape.extra_channels;
-        let mut sums = vec![0.0_f32; self.tape.projection.chunks[chunk].visible * stride];
-        for (tile, gradient) in self.tape.tiles.iter().zip(tiles) {
-            for slot in tile.list.segment(chunk) {
-                let row = gradient.slots.index[slot] as usize;
-                if row == 0 {
-                    continue;
-                }
-                let local = tile.list.records[slot] as usize - chunk * CHUNK;
+    /// The tiles' rows of a chunk's records, added in tile order: `[records, MOMENTS + E]`.
+    fn sums(&self, touched: &[tile::Touched], mut rows: &[f32], chunk: usize, sums: &mut Vec<f32>) {
+        let stride = self.stride();
+        sums.clear();
+        sums.resize(self.tape.projection.chunks[chunk].visible * stride, 0.0);
+        for tile in touched {
+            let (own, others) = rows.split_at(tile.records.len() * stride);
+            rows = others;
+            let range = tile.chunks[chunk] as usize..tile.chunks[chunk + 1] as usize;
+            let from = own[range.start * stride..range.end * stride].chunks_exact(stride);
+            for (&record, from) in tile.records[range].iter().zip(from) {
+                let local = record as usize - chunk * CHUNK;
                 let to = &mut sums[local * stride..(local + 1) * stride];
-                let from = &gradient.slots.rows[(row - 1) * stride..row * stride];
                 for (to, from) in to.iter_mut().zip(from) {
                     *to += from;
                 }
             }
         }
-        sums
     }
 }
 

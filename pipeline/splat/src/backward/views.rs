@@ -6,13 +6,18 @@
 
 use rayon::prelude::*;
 
-use crate::backward::{Gradients, Pass, RenderGradient, Tape, TileGradient, chain};
+use crate::backward::tile::Touched;
+use crate::backward::{Gradients, Pass, RenderGradient, Tape, chain};
 use crate::camera::{Camera, RasterConfig};
 use crate::error::{Result, SplatError};
 use crate::gaussians::Gaussians;
 use crate::project::{CHUNK, for_each_view};
 use crate::render::{Render, Work, check_views};
 use crate::simd::dispatch;
+use crate::spare::Pool;
+
+/// Buffers for the rows of all tiles of a view, up to 256 MB each.
+static ROWS: Pool<f32> = Pool::new(1 << 26);
 
 /// Gradient of a loss with respect to the pose of one camera (`p_camera = R p_world + t`).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -100,13 +105,22 @@ pub(super) fn add(
             tape,
             gradient,
         };
-        let tiles: Vec<TileGradient> = tape.tiles.par_iter().map(|tile| pass.tile(tile)).collect();
-        for tile in &tiles {
+        let touched: Vec<Touched> = tape.tiles.par_iter().map(Touched::new).collect();
+        let lengths = touched.iter().map(|tile| tile.records.len() * pass.stride());
+        let mut buffer = ROWS.take(lengths.clone().sum());
+        let mut rest = &mut buffer[..];
+        let rows: Vec<&mut [f32]> = lengths
+            .map(|length| rest.split_off_mut(..length).unwrap_or_default())
+            .collect();
+        let backgrounds: Vec<[f64; 3]> = (tape.tiles.par_iter().zip(&touched).zip(rows))
+            .map(|((tile, touched), rows)| pass.tile(tile, touched, rows))
+            .collect();
+        for background in &backgrounds {
             for k in 0..3 {
-                into.background[k] += tile.background[k];
+                into.background[k] += background[k];
             }
         }
-        poses.push(gather(&pass, &tiles, fresh && index == 0, into));
+        poses.push(gather(&pass, &touched, &buffer, fresh && index == 0, into));
     }
     for pose in &poses {
         for k in 0..9 {
@@ -136,7 +150,7 @@ fn check_room(gaussians: &Gaussians, into: &Gradients) -> Result<()> {
 }
 
 /// Carries the tiles' sums through the projection, chunk by chunk.
-fn gather(pass: &Pass<'_>, tiles: &[TileGradient], fresh: bool, into: &mut Gradients) -> PoseGradient {
+fn gather(pass: &Pass<'_>, touched: &[Touched], rows: &[f32], fresh: bool, into: &mut Gradients) -> PoseGradient {
     let Pass {
         gaussians,
         config,
@@ -152,28 +166,32 @@ fn gather(pass: &Pass<'_>, tiles: &[TileGradient], fresh: bool, into: &mut Gradi
         .zip(into.colour.par_chunks_mut(colours * CHUNK))
         .zip(chunks_or_empty(&mut into.extra, channels, tape.projection.chunks.len()))
         .enumerate()
-        .map(|(chunk, (((((means, quats), scales), opacities), colours), extra))| {
-            let first = chunk * CHUNK;
-            let visible = tape.projection.chunks[chunk].visible;
-            let kernel = chain::Chain {
-                gaussians,
-                view: &tape.view,
-                config,
-                records: &tape.projection.records[first..first + visible],
-                sums: &pass.sums(tiles, chunk),
-                first,
-                fresh,
-                rows: chain::Rows {
-                    means,
-                    quats,
-                    scales,
-                    opacities,
-                    colours,
-                    extra,
-                },
-            };
-            dispatch(config.simd, kernel)
-        })
+        .map_init(
+            Vec::new,
+            |sums, (chunk, (((((means, quats), scales), opacities), colours), extra))| {
+                pass.sums(touched, rows, chunk, sums);
+                let first = chunk * CHUNK;
+                let visible = tape.projection.chunks[chunk].visible;
+                let kernel = chain::Chain {
+                    gaussians,
+                    view: &tape.view,
+                    config,
+                    records: &tape.projection.records[first..first + visible],
+                    sums,
+                    first,
+                    fresh,
+                    rows: chain::Rows {
+                        means,
+                        quats,
+                        scales,
+                        opacities,
+                        colours,
+                        extra,
+                    },
+                };
+                dispatch(config.simd, kernel)
+            },
+        )
         .collect();
     let mut pose = PoseGradient::default();
     for camera in &cameras {
