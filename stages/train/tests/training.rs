@@ -4,8 +4,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use burn::tensor::Device;
+use rogs_networks::checkpoint::{ElementType, TensorSource, stage1_metadata, write};
 use rogs_networks::lpips::{LpipsTensors, LpipsWeights};
 use rogs_networks::parameters::to_host;
+use rogs_networks::stage1::{Stage1, Stage1Config, seeded};
 use rogs_random::Pcg64;
 use rogs_train::config::{DataSettings, LossWeights, OptimiserSettings};
 use rogs_train::plan::ClipPlan;
@@ -16,6 +18,22 @@ use rogs_train::stage1::objective::{Losses, objective};
 use rogs_train::stage1::start;
 use rogs_train::stream::batches;
 use rogs_train::{Course, Stage1Trainer, Stage1Training};
+
+/// No loss at all.
+const NONE: LossWeights = LossWeights {
+    movies_mse: 0.0,
+    movies_lpips: 0.0,
+    depth_head: 0.0,
+    stereo: 0.0,
+    track_head: 0.0,
+    track_final: 0.0,
+    fk_head: 0.0,
+    fk_final: 0.0,
+    metric_final: 0.0,
+    metric_right: 0.0,
+    coverage: 0.0,
+    coverage_right: 0.0,
+};
 
 /// A run small enough for a test: the compact network on very small images.
 fn tiny(steps: u64) -> Stage1Training {
@@ -173,27 +191,13 @@ fn perceptual(device: &Device) -> LpipsTensors {
 fn gradients_are_those_of_the_reported_loss() {
     let settings = tiny(1);
     let clip = sample(&settings, 4711);
-    let none = LossWeights {
-        movies_mse: 0.0,
-        movies_lpips: 0.0,
-        depth_head: 0.0,
-        stereo: 0.0,
-        track_head: 0.0,
-        track_final: 0.0,
-        fk_head: 0.0,
-        fk_final: 0.0,
-        metric_final: 0.0,
-        metric_right: 0.0,
-        coverage: 0.0,
-        coverage_right: 0.0,
-    };
     let cases = [
         (
             "heads",
             LossWeights {
                 stereo: 1.0,
                 depth_head: 1.0,
-                ..none
+                ..NONE
             },
         ),
         (
@@ -201,21 +205,21 @@ fn gradients_are_those_of_the_reported_loss() {
             LossWeights {
                 metric_final: 0.001,
                 metric_right: 0.001,
-                ..none
+                ..NONE
             },
         ),
         (
             "colour",
             LossWeights {
                 movies_mse: 1.0,
-                ..none
+                ..NONE
             },
         ),
         (
             "perceptual",
             LossWeights {
                 movies_lpips: 1.0,
-                ..none
+                ..NONE
             },
         ),
         (
@@ -223,7 +227,7 @@ fn gradients_are_those_of_the_reported_loss() {
             LossWeights {
                 track_final: 1.0,
                 fk_final: 1.0,
-                ..none
+                ..NONE
             },
         ),
         (
@@ -231,7 +235,7 @@ fn gradients_are_those_of_the_reported_loss() {
             LossWeights {
                 coverage: 1.0,
                 coverage_right: 1.0,
-                ..none
+                ..NONE
             },
         ),
     ];
@@ -324,6 +328,75 @@ fn a_network_learns_one_clip() {
         losses.push(trainer.update(&batch).unwrap().loss);
     }
     assert!(losses[11] < 0.8 * losses[0], "{losses:?}");
+}
+
+/// A checkpoint made before the configuration had a stem goes on with one.
+#[test]
+fn a_checkpoint_without_a_stem_gets_one_that_says_nothing_yet() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("old.safetensors");
+    let config = Stage1Config {
+        stem_channels: [0; 4],
+        ..Stage1Config::compact()
+    };
+    let old = seeded::network(&config, 5, &Device::flex()).unwrap();
+    let tensor = |name: String| TensorSource {
+        shape: old.parameters.shape(&name).unwrap().to_vec(),
+        values: Box::new({
+            let values = old.parameters.host(&name).unwrap();
+            move || Ok(values)
+        }),
+        name,
+    };
+    let tensors = old.parameters.names().into_iter().map(tensor).collect();
+    write(
+        &path,
+        &stage1_metadata(&config, true, "a test"),
+        ElementType::F32,
+        tensors,
+    )
+    .unwrap();
+
+    let settings = Stage1Training {
+        start: Some(path),
+        ..tiny(1)
+    };
+    let mut trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
+    assert_eq!(trainer.network.config, Stage1Config::compact());
+    let clip = sample(&settings, 99);
+    let depth = |network: &Stage1| to_host(lift(network, &clip, true, Heads::Depth).unwrap().depth).unwrap();
+    let plain = Stage1::new(
+        trainer.network.config.clone(),
+        trainer.network.parameters.without_gradients(),
+    )
+    .unwrap();
+    assert_eq!(depth(&old), depth(&plain));
+
+    // What it says comes through its last layers first.
+    let batch = batches(&settings, 0).next_item().unwrap().unwrap();
+    trainer.update(&batch).unwrap();
+    for name in ["stem.tokens.weight", "backbone.depth_head.stem.project.3.weight"] {
+        let values = trainer.network.parameters.host(name).unwrap();
+        assert!(values.iter().any(|&value| value != 0.0), "{name} does not learn");
+    }
+}
+
+#[test]
+fn losses_of_the_depth_head_alone_train_no_other_head() {
+    let mut settings = tiny(1);
+    settings.losses = LossWeights {
+        stereo: 1.0,
+        depth_head: 0.01,
+        ..NONE
+    };
+    let batch = batches(&settings, 0).next_item().unwrap().unwrap();
+    let mut trainer = Stage1Trainer::new(settings, &Device::flex()).unwrap();
+    let report = trainer.update(&batch).unwrap();
+    assert_eq!(report.terms.keys().collect::<Vec<_>>(), ["depth_head", "stereo"]);
+    let trained: Vec<&String> = trainer.moments.by_name.keys().collect();
+    let of = |part: &str| trained.iter().filter(|name| name.contains(part)).count();
+    assert!(of("depth_head") > 50 && of("frame_blocks") > 50 && of("stem.levels") == 16);
+    assert_eq!(of("splat_head") + of("motion_head") + of("fk_branch"), 0);
 }
 
 #[test]
