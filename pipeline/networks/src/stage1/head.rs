@@ -7,8 +7,8 @@ use burn::tensor::Tensor;
 use super::config::{HeadKind, Stage1Config};
 use super::geometry::encode_time;
 use super::network::Encoded;
-use super::stem::Pyramid;
 use super::positions::head_positions;
+use super::stem::Pyramid;
 use crate::Result;
 use crate::kernels::{self, After, Conv3x3, DenseTail};
 use crate::ops::{self, Conv, Linear};
@@ -327,12 +327,7 @@ impl DenseHead {
 
     /// The same, showing every stage to an observer.
     #[must_use]
-    pub fn forward_observed(
-        &self,
-        projections: &Projections,
-        encoded: &Encoded,
-        observe: Observer<'_>,
-    ) -> Tensor<4> {
+    pub fn forward_observed(&self, projections: &Projections, encoded: &Encoded, observe: Observer<'_>) -> Tensor<4> {
         self.run(projections, encoded, &mut Some(observe))
     }
 

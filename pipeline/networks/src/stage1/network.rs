@@ -63,7 +63,10 @@ impl Encoded {
     pub fn frames_at(&self, start: usize, count: usize) -> Self {
         Self {
             taps: self.taps.clone().map(|tap| tap.narrow(0, start, count)),
-            local: self.local.clone().map(|maps| maps.map(|map| map.narrow(0, start, count))),
+            local: self
+                .local
+                .clone()
+                .map(|maps| maps.map(|map| map.narrow(0, start, count))),
             ..*self
         }
     }
@@ -150,9 +153,7 @@ impl Stage1 {
         if !self.config.has_stem() {
             return Ok(None);
         }
-        self.stem()
-            .features(frames.images.clone(), &frames.cameras)
-            .map(Some)
+        self.stem().features(frames.images.clone(), &frames.cameras).map(Some)
     }
 
     /// Patch tokens of the images: those of the encoder, and what the stem adds to them. `[S, N, C]`
