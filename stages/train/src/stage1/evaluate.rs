@@ -40,18 +40,21 @@ pub(super) fn evaluate(network: &Stage1, settings: &Stage1Training) -> Result<Ev
     for index in 0..settings.evaluation_clips {
         let plan = ClipPlan::evaluation(settings.data.held_out_seed + index, &settings.data);
         let sample = plan.sample(&settings.data, true)?;
-        let (scores, views) = score(&network, &sample)?;
+        let (scores, views, head_depth) = score(&network, &sample)?;
         for (name, value) in scores {
             *evaluation.scores.entry(name.to_owned()).or_insert(0.0) += value / settings.evaluation_clips as f64;
         }
         if evaluation.picture.is_none() {
-            evaluation.picture = sample.queries.last().map(|query| grid(&sample, query, &views));
+            evaluation.picture = sample
+                .queries
+                .last()
+                .map(|query| grid(&sample, query, &views, &head_depth));
         }
     }
     Ok(evaluation)
 }
 
-/// Scores of one clip, and all views at its last query time.
+/// Scores of one clip, all views at its last query time, and the depth of the head.
 ///
 /// | score | |
 /// |---|---|
@@ -62,7 +65,7 @@ pub(super) fn evaluate(network: &Stage1, settings: &Stage1Training) -> Result<Ev
 /// | `robot_epe_mm` | mean distance of predicted and true displacement at robot pixels |
 /// | `robot_epe_unconditioned_mm` | the same with all conditioning maps zero |
 /// | `object_epe_mm` | the same at pixels of objects |
-fn score(network: &Stage1, sample: &Sample) -> Result<(BTreeMap<&'static str, f64>, Vec<View>)> {
+fn score(network: &Stage1, sample: &Sample) -> Result<(BTreeMap<&'static str, f64>, Vec<View>, Vec<f32>)> {
     let lifted = lift(network, sample, true, Heads::All)?;
     let bare = lift(network, sample, false, Heads::All)?;
     let mut means = Means::default();
@@ -123,7 +126,7 @@ fn score(network: &Stage1, sample: &Sample) -> Result<(BTreeMap<&'static str, f6
             }
         }
     }
-    Ok((means.values(), last))
+    Ok((means.values(), last, depth))
 }
 
 /// Distances of displacements at robot (true) and object pixels, millimetres.
@@ -144,39 +147,72 @@ fn distances(sample: &Sample, query: &Query, moved: &[f32], mut add: impl FnMut(
     }
 }
 
-/// Rows: seen, rendered, reference depth, rendered depth; columns: the cameras.
-fn grid(sample: &Sample, query: &Query, views: &[View]) -> Picture {
-    let [height, width] = sample.size;
-    let columns = views.len();
-    let mut rgb = vec![0u8; 4 * height * columns * width * 3];
-    // Near is bright; 1 iu and 10 iu are the ends.
-    let shade = |depth: f32| {
-        if depth > 0.0 {
-            byte(1.0 - (depth / 10.0).min(1.0))
-        } else {
-            0
-        }
-    };
+/// The picture of a clip. Rows at a query time: seen, rendered, reference depth, rendered depth; columns: the cameras. Below,
+/// as many source images as fit: seen, reference depth, depth of the head.
+fn grid(sample: &Sample, query: &Query, views: &[View], head_depth: &[f32]) -> Picture {
+    let size = sample.size;
+    let area = size[0] * size[1];
+    let mut picture = Canvas::new(size, [7, views.len()]);
     for (column, (view, target)) in views.iter().zip(&query.targets).enumerate() {
-        for pixel in 0..height * width {
-            let (y, x) = (pixel / width, pixel % width);
-            for channel in 0..3 {
-                let values = [
-                    byte(target.rgb[3 * pixel + channel]),
-                    byte(view.rgb[3 * pixel + channel]),
-                    shade(target.depth_iu[pixel]),
-                    shade(view.depth[pixel]),
-                ];
-                for (row, value) in values.into_iter().enumerate() {
-                    rgb[((row * height + y) * columns * width + column * width + x) * 3 + channel] = value;
-                }
-            }
+        picture.paint([0, column], |pixel, channel| target.rgb[3 * pixel + channel]);
+        picture.paint([1, column], |pixel, channel| view.rgb[3 * pixel + channel]);
+        picture.paint([2, column], |pixel, _| shade(target.depth_iu[pixel]));
+        picture.paint([3, column], |pixel, _| shade(view.depth[pixel]));
+    }
+    let sources = sample.views.len();
+    let shown = views.len().min(sources);
+    for column in 0..shown {
+        // Spread over the cameras and times.
+        let source = column * sources / shown.max(1);
+        picture.paint([4, column], |pixel, channel| {
+            sample.images[(3 * source + channel) * area + pixel]
+        });
+        picture.paint([5, column], |pixel, _| shade(sample.depth_iu[source * area + pixel]));
+        picture.paint([6, column], |pixel, _| shade(head_depth[source * area + pixel]));
+    }
+    picture.picture
+}
+
+/// Brightness of a depth, internal units: near is bright, 10 and what has no depth are black.
+fn shade(depth: f32) -> f32 {
+    if depth > 0.0 {
+        1.0 - (depth / 10.0).min(1.0)
+    } else {
+        0.0
+    }
+}
+
+/// A picture of equal cells.
+struct Canvas {
+    cell: [usize; 2],
+    columns: usize,
+    picture: Picture,
+}
+
+impl Canvas {
+    /// A black picture of `rows x columns` cells of `height x width` pixels.
+    fn new(cell: [usize; 2], [rows, columns]: [usize; 2]) -> Self {
+        let (height, width) = (rows * cell[0], columns * cell[1]);
+        Self {
+            cell,
+            columns,
+            picture: Picture {
+                width: width as u32,
+                height: height as u32,
+                rgb: vec![0; height * width * 3],
+            },
         }
     }
-    Picture {
-        width: (columns * width) as u32,
-        height: (4 * height) as u32,
-        rgb,
+
+    /// Fills the cell at a row and column with `value(pixel, channel)` in 0..1.
+    fn paint(&mut self, [row, column]: [usize; 2], value: impl Fn(usize, usize) -> f32) {
+        let [height, width] = self.cell;
+        for pixel in 0..height * width {
+            let (y, x) = (row * height + pixel / width, column * width + pixel % width);
+            for channel in 0..3 {
+                self.picture.rgb[(y * self.columns * width + x) * 3 + channel] = byte(value(pixel, channel));
+            }
+        }
     }
 }
 

@@ -114,8 +114,8 @@ impl Course for Stage1Trainer {
     type Batch = Batch;
 
     const TITLE: &'static str = "Training of Stage 1";
-    const PICTURE: &'static str =
-        "Seen, rendered, reference depth, rendered depth; three source cameras, then their right eyes.";
+    const PICTURE: &'static str = "At a query time: seen, rendered, reference depth, rendered depth; three source cameras, \
+        then their right eyes. Below, source images: seen, reference depth, depth of the head.";
 
     fn settings(&self) -> &Stage1Training {
         &self.settings
