@@ -1,6 +1,7 @@
 //! The manifest: what a person asks for, as TOML.
 
 use std::collections::BTreeMap;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use rogs_schemas::records::robot::RobotSpec;
@@ -13,6 +14,10 @@ use crate::error::{Error, Result, io};
 
 /// Stages in the order of the pipeline.
 pub const STAGES: [&str; 6] = ["ingest", "robot-maps", "conditioning", "lift", "refine", "score"];
+
+/// Most bytes of a manifest that are read: more than 76,000 single episodes with paths of their own. What is made of the
+/// text takes some forty times as much memory.
+const MOST_BYTES: usize = 16 << 20;
 
 /// A table of parameters of one stage; its names are those of `rogs-STAGE describe`.
 pub type Params = Map<String, Value>;
@@ -297,17 +302,38 @@ pub struct Report {
     pub clips: Option<usize>,
 }
 
+/// The text of a manifest file.
+fn read(path: &Path) -> Result<String> {
+    let mut bytes = Vec::new();
+    let file = std::fs::File::open(path).map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound => Error::usage(format!("there is no manifest `{}`", path.display()))
+            .with_hint("name a TOML file such as those in `manifests/`, or a run folder"),
+        _ => io("cannot read the manifest", path)(error),
+    })?;
+    file.take(MOST_BYTES as u64 + 1)
+        .read_to_end(&mut bytes)
+        .map_err(io("cannot read the manifest", path))?;
+    if bytes.len() > MOST_BYTES {
+        let message = format!("the manifest `{}` is larger than {} MiB", path.display(), MOST_BYTES >> 20);
+        return Err(Error::usage(message).with_hint(
+            "name a folder of episodes under `[input]`; `include` and `exclude` take some of them; or split the run",
+        ));
+    }
+    String::from_utf8(bytes).map_err(|error| {
+        let at = error.utf8_error().valid_up_to();
+        let line = error.as_bytes()[..at].iter().filter(|&&byte| byte == b'\n').count() + 1;
+        Error::usage(format!("`{}` line {line}: no UTF-8 text", path.display()))
+            .with_hint("save the manifest as UTF-8")
+    })
+}
+
 impl Manifest {
     /// Reads and checks a manifest file and makes its paths absolute.
     ///
     /// # Errors
     /// When it cannot be read, is no TOML, has unknown names or wrong values; with line and column.
     pub fn load(path: &Path) -> Result<(Self, Text)> {
-        let text = std::fs::read_to_string(path).map_err(|error| match error.kind() {
-            std::io::ErrorKind::NotFound => Error::usage(format!("there is no manifest `{}`", path.display()))
-                .with_hint("name a TOML file such as those in `manifests/`, or a run folder"),
-            _ => io("cannot read the manifest", path)(error),
-        })?;
+        let text = read(path)?;
         let folder = path
             .parent()
             .filter(|folder| !folder.as_os_str().is_empty())

@@ -45,19 +45,8 @@ pub struct ListedEpisode {
 }
 
 impl ListedEpisode {
-    /// True when a person means this episode by `text`: its id, its name, or its selector, alone or after its folder.
-    #[must_use]
-    pub fn is_called(&self, text: &str) -> bool {
-        self.names().any(|name| name == text)
-    }
-
-    /// True when a pattern fits one of its names.
-    #[must_use]
-    pub fn fits(&self, pattern: &str) -> bool {
-        self.names().any(|name| crate::glob::matches(pattern, &name))
-    }
-
-    fn names(&self) -> impl Iterator<Item = String> + '_ {
+    /// What a person may call this episode: its id, its name, or its selector, alone or after its folder.
+    pub fn names(&self) -> impl Iterator<Item = String> + '_ {
         let within = self.folder.join(&self.selector).to_string_lossy().into_owned();
         let names = [
             self.episode_id.clone(),

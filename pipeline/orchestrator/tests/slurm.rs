@@ -238,25 +238,71 @@ fn a_drained_task_ends_with_75_leaves_nothing_behind_and_goes_on() {
     let submitted = site.submit("b@conditioning@begin");
     site.held();
     let element = format!("{}_1", submitted.id("conditioning"));
-    site.turn
-        .cluster
-        .ask("scancel", &["--signal=TERM", "--batch", &element]);
-    // The signal is there when the worker goes on: its next look at the world is the end of the unit.
-    std::fs::write(site.control.path().join("release"), "").unwrap();
-    site.turn.cluster.wait_for(&submitted.ids);
-    let drained = site.turn.cluster.job(&element);
-    assert!(
-        drained.contains("ExitCode=75:0") || drained.contains("ExitCode=0:0"),
-        "{drained}"
-    );
+    let cluster = &site.turn.cluster;
+    cluster.ask("scancel", &["--signal=TERM", "--batch", &element]);
+    // The clip in hand stands still beyond its grace period, so it is given up.
+    cluster.wait_for(&submitted.ids);
+    let drained = cluster.job(&element);
+    assert!(drained.contains("ExitCode=75:0"), "{drained}");
     assert!(site.workspace.temporaries().is_empty());
     let status = site.status();
-    assert_eq!(status.clips.failed, 0, "{}", status.table());
-    if drained.contains("ExitCode=75:0") {
-        assert_eq!(status.clips.done, 2, "{}", status.table());
-        assert_eq!(site.submit_and_wait().shards, [1]);
-    }
+    assert_eq!((status.clips.done, status.clips.failed), (2, 0), "{}", status.table());
+    let before = site.times();
+    assert_eq!(site.submit_and_wait().shards, [1]);
     assert_eq!(site.status().exit, Exit::Done);
+    let after = site.times();
+    assert!(
+        before.iter().all(|file| after.contains(file)),
+        "something was made twice"
+    );
+}
+
+#[test]
+#[ignore = "long: real Slurm"]
+fn a_requeued_task_goes_on_by_itself_and_keeps_its_first_log() {
+    let Some(site) = Site::new() else { return };
+    let submitted = site.submit("b@lift@begin");
+    let worker = site.held();
+    let element = format!("{}_1", submitted.id("lift"));
+    let cluster = &site.turn.cluster;
+    cluster.ask("scontrol", &["requeue", &element]);
+    wait_until("the first try to end", || !cluster::lives(&worker));
+    let again = format!("jobid={element}");
+    // Slurm holds a requeued task back for two minutes, unless it is told not to.
+    cluster.ask("scontrol", &["update", &again, "StartTime=now"]);
+    cluster.wait_for(&submitted.ids);
+    let requeued = cluster.job(&element);
+    assert!(
+        requeued.contains("Restarts=1") && requeued.contains("ExitCode=0:0"),
+        "{requeued}"
+    );
+    // Those behind it waited for the second try.
+    let status = site.status();
+    assert_eq!((status.exit, status.clips.done), (Exit::Done, 3), "{}", status.table());
+    assert!(site.workspace.temporaries().is_empty());
+    let log = site.log("lift", submitted.id("lift"), 1);
+    assert!(log.contains("1 made"), "`{log}`");
+}
+
+#[test]
+#[ignore = "long: real Slurm"]
+fn a_controller_and_nodes_that_die_and_come_back_cost_nothing() {
+    let Some(site) = Site::new() else { return };
+    let submitted = site.submit("b@lift@begin");
+    site.held();
+    site.turn.cluster.crash();
+    std::fs::write(site.control.path().join("release"), "").unwrap();
+    site.turn.cluster.wait_for(&submitted.ids);
+    if site.status().exit != Exit::Done {
+        // What the controller had not saved yet is submitted again.
+        assert_eq!(site.status().clips.failed, 0, "{}", site.status().table());
+        site.submit_and_wait();
+    }
+    assert_eq!(site.status().exit, Exit::Done, "{}", site.status().table());
+    assert!(site.workspace.temporaries().is_empty());
+    let expected = Workspace::new();
+    expected.run();
+    assert!(site.workspace.outputs() == expected.outputs());
 }
 
 #[test]

@@ -1,7 +1,8 @@
 //! The clips of a plan: which episodes, under which names, with which content.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use rayon::prelude::*;
 use rogs_schemas::ContentHash;
@@ -18,7 +19,7 @@ use crate::sources::SourceCache;
 /// One episode that was asked for, before its content is known.
 struct Asked<'a> {
     root: PathBuf,
-    listed: ListedEpisode,
+    listed: Arc<ListedEpisode>,
     id: Option<&'a str>,
     calibration: Option<&'a PathBuf>,
     ingest: &'a Params,
@@ -65,10 +66,18 @@ pub(super) fn add_clips(
         .par_iter()
         .map(|asked| sources.episode(&asked.root, &asked.listed.files))
         .collect();
+    let (mut roots, mut calibrations) = (HashMap::new(), HashMap::new());
     for (((asked, id), content), ingest) in asked.iter().zip(ids).zip(contents).zip(normalised) {
         let calibration = match asked.calibration {
             None => None,
-            Some(path) => Some(calibration(plan, path, text, sources)?),
+            Some(path) => Some(match calibrations.get(path) {
+                Some(&index) => index,
+                None => {
+                    let index = calibration(plan, path, text, sources)?;
+                    calibrations.insert(path, index);
+                    index
+                }
+            }),
         };
         let predictions = predictions(plan, &id, sources)?;
         let latents = plan.latents.as_ref().map(|root| super::latents_file(root, &id));
@@ -79,7 +88,10 @@ pub(super) fn add_clips(
             id,
             episode: asked.listed.episode_id.clone(),
             layout: asked.listed.layout.clone(),
-            root: position_or_push(&mut plan.roots, asked.root.clone()),
+            root: *roots.entry(asked.root.as_path()).or_insert_with(|| {
+                plan.roots.push(asked.root.clone());
+                plan.roots.len() as u32 - 1
+            }),
             selector: asked.listed.selector.clone(),
             content: content?,
             calibration,
@@ -92,36 +104,65 @@ pub(super) fn add_clips(
 
 struct Listings<'a> {
     programs: &'a StagePrograms,
-    known: HashMap<PathBuf, Vec<ListedEpisode>>,
+    known: HashMap<PathBuf, Listing>,
+}
+
+/// The episodes of a folder, and which of them are called by a name.
+struct Listing {
+    episodes: Vec<Arc<ListedEpisode>>,
+    by_name: HashMap<String, Vec<usize>>,
+}
+
+impl Listing {
+    fn new(episodes: Vec<ListedEpisode>) -> Self {
+        let mut by_name: HashMap<String, Vec<usize>> = HashMap::new();
+        for (index, episode) in episodes.iter().enumerate() {
+            for name in episode.names() {
+                let called = by_name.entry(name).or_default();
+                if called.last() != Some(&index) {
+                    called.push(index);
+                }
+            }
+        }
+        Self {
+            episodes: episodes.into_iter().map(Arc::new).collect(),
+            by_name,
+        }
+    }
+
+    /// The episodes that a person means by `select`; all without it.
+    fn called(&self, select: Option<&str>) -> Vec<&Arc<ListedEpisode>> {
+        let Some(select) = select else {
+            return self.episodes.iter().collect();
+        };
+        let found = self.by_name.get(select).into_iter().flatten();
+        found.map(|&index| &self.episodes[index]).collect()
+    }
 }
 
 impl Listings<'_> {
-    fn of(&mut self, text: &Text, keys: &[&str], root: &Path) -> Result<&[ListedEpisode]> {
+    fn of(&mut self, text: &Text, keys: &[&str], root: &Path) -> Result<&Listing> {
+        if self.known.contains_key(root) {
+            return Ok(&self.known[root]);
+        }
         if !root.is_dir() {
             let error = text.error(keys, format!("`{}` is no folder", root.display()));
             return Err(error.with_hint("paths in a manifest are relative to the manifest's folder"));
         }
-        if !self.known.contains_key(root) {
-            let episodes = self.programs.list_episodes(root)?;
-            if episodes.is_empty() {
-                return Err(text.error(
-                    keys,
-                    format!("`{}` holds no episode in a layout that ingest knows", root.display()),
-                ));
-            }
-            self.known.insert(root.to_owned(), episodes);
+        let episodes = self.programs.list_episodes(root)?;
+        if episodes.is_empty() {
+            let message = format!("`{}` holds no episode in a layout that ingest knows", root.display());
+            return Err(text.error(keys, message));
         }
-        Ok(&self.known[root])
+        Ok(self.known.entry(root.to_owned()).or_insert(Listing::new(episodes)))
     }
 }
 
 /// The one episode that an `[[episodes]]` table means.
-fn pick<'a>(episode: &'a Episode, listed: &[ListedEpisode], text: &Text) -> Result<Asked<'a>> {
-    let found: Vec<&ListedEpisode> = match &episode.select {
-        None => listed.iter().collect(),
-        Some(select) => listed.iter().filter(|listed| listed.is_called(select)).collect(),
-    };
+fn pick<'a>(episode: &'a Episode, listing: &Listing, text: &Text) -> Result<Asked<'a>> {
+    let found = listing.called(episode.select.as_deref());
     let [listed] = found[..] else {
+        let listed = &listing.episodes;
         let names = || {
             listed.iter().map(|listed| {
                 if listed.selector.is_empty() {
@@ -158,7 +199,7 @@ fn pick<'a>(episode: &'a Episode, listed: &[ListedEpisode], text: &Text) -> Resu
     };
     Ok(Asked {
         root: folder_of(&episode.root, listed),
-        listed: listed.clone(),
+        listed: Arc::clone(listed),
         id: episode.id.as_deref(),
         calibration: episode.calibration.as_ref(),
         ingest: &episode.ingest,
@@ -175,21 +216,48 @@ fn folder_of(root: &Path, listed: &ListedEpisode) -> PathBuf {
 }
 
 /// The episodes that an `[input]` table takes.
-fn filter<'a>(input: &'a Input, listed: &[ListedEpisode]) -> Vec<Asked<'a>> {
-    let any = |patterns: &[String], listed: &ListedEpisode| patterns.iter().any(|pattern| listed.fits(pattern));
-    let taken = listed.iter().filter(|listed| {
+fn filter<'a>(input: &'a Input, listing: &Listing) -> Vec<Asked<'a>> {
+    let (include, exclude) = (Patterns::new(&input.include), Patterns::new(&input.exclude));
+    let taken = listing.episodes.iter().filter(|listed| {
         input.layout.as_ref().is_none_or(|layout| *layout == listed.layout)
-            && (input.include.is_empty() || any(&input.include, listed))
-            && !any(&input.exclude, listed)
+            && (input.include.is_empty() || include.fit(listed))
+            && !exclude.fit(listed)
     });
-    let make = |listed: &ListedEpisode| Asked {
+    let make = |listed: &Arc<ListedEpisode>| Asked {
         root: folder_of(&input.root, listed),
-        listed: listed.clone(),
+        listed: Arc::clone(listed),
         id: None,
         calibration: input.calibration.as_ref(),
         ingest: &input.ingest,
     };
     taken.take(input.limit.unwrap_or(usize::MAX)).map(make).collect()
+}
+
+/// Patterns over the names of episodes. Those without wildcards may be as many as there are episodes.
+struct Patterns<'a> {
+    names: HashSet<&'a str>,
+    wild: Vec<&'a str>,
+}
+
+impl<'a> Patterns<'a> {
+    fn new(patterns: &'a [String]) -> Self {
+        let (wild, names): (Vec<&str>, Vec<&str>) = patterns
+            .iter()
+            .map(String::as_str)
+            .partition(|pattern| pattern.contains(['*', '?']));
+        Self {
+            names: names.into_iter().collect(),
+            wild,
+        }
+    }
+
+    /// True when one of them fits one of the episode's names.
+    fn fit(&self, listed: &ListedEpisode) -> bool {
+        let any = !self.names.is_empty() || !self.wild.is_empty();
+        any && listed.names().any(|name| {
+            self.names.contains(name.as_str()) || self.wild.iter().any(|pattern| crate::glob::matches(pattern, &name))
+        })
+    }
 }
 
 /// Safe and unique names. A name that was chosen is kept; a name that was made gets a suffix where it would collide.
@@ -252,9 +320,6 @@ fn predictions(plan: &Plan, id: &str, sources: &SourceCache) -> Result<Vec<Optio
 }
 
 fn calibration(plan: &mut Plan, path: &Path, text: &Text, sources: &SourceCache) -> Result<u32> {
-    if let Some(index) = plan.calibrations.iter().position(|source| source.path == path) {
-        return Ok(index as u32);
-    }
     if !path.is_file() {
         let error = text.error(
             &["episodes", "calibration"],
@@ -268,12 +333,4 @@ fn calibration(plan: &mut Plan, path: &Path, text: &Text, sources: &SourceCache)
         content,
     });
     Ok(plan.calibrations.len() as u32 - 1)
-}
-
-fn position_or_push(list: &mut Vec<PathBuf>, path: PathBuf) -> u32 {
-    let index = list.iter().position(|known| *known == path).unwrap_or_else(|| {
-        list.push(path);
-        list.len() - 1
-    });
-    index as u32
 }

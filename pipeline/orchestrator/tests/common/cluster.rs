@@ -21,7 +21,7 @@ static SHARED: Mutex<Result<Weak<Cluster>, String>> = Mutex::new(Ok(Weak::new())
 pub fn wait_until(what: &str, mut happened: impl FnMut() -> bool) {
     let start = Instant::now();
     while !happened() {
-        assert!(start.elapsed() < Duration::from_secs(300), "waited in vain for {what}");
+        assert!(start.elapsed() < Duration::from_secs(900), "waited in vain for {what}");
         std::thread::sleep(Duration::from_millis(100));
     }
 }
@@ -237,6 +237,33 @@ impl Cluster {
         });
     }
 
+    /// Kills the controller and both nodes' daemons as a power cut would, and starts them again with what they had saved.
+    pub fn crash(&self) {
+        let daemons: [(&str, &str, &[&str]); 3] = [
+            ("slurmctld.pid", "slurmctld", &[]),
+            ("slurmd.n1.pid", "slurmd", &["-N", "n1"]),
+            ("slurmd.n2.pid", "slurmd", &["-N", "n2"]),
+        ];
+        for (file, program, arguments) in daemons {
+            let id = std::fs::read_to_string(self.folder.path().join(file)).unwrap();
+            let id = id.trim();
+            assert!(
+                Command::new("sh")
+                    .args(["-c", &format!("kill -s KILL {id}")])
+                    .status()
+                    .unwrap()
+                    .success()
+            );
+            wait_until(&format!("the end of `{program}`"), || !lives(id));
+            self.daemon(program, arguments).unwrap();
+        }
+        wait_until("both nodes to come back", || {
+            let states = self.try_ask("sinfo", &["-h", "-N", "-o", "%T"]).unwrap_or_default();
+            let up = ["idle", "mixed", "allocated", "completing"];
+            states.lines().count() == 2 && states.lines().all(|state| up.contains(&state))
+        });
+    }
+
     /// What `scontrol` says about an element of an array: one line of `Key=Value`.
     pub fn job(&self, id: &str) -> String {
         self.ask("scontrol", &["-o", "show", "job", id])
@@ -253,13 +280,19 @@ impl Drop for Cluster {
             let _ = Command::new("sh").args(["-c", &format!("kill -s TERM {id}")]).status();
             // The folder goes away with this value; the daemons write to it until they have ended.
             for _ in 0..100 {
-                if !Path::new("/proc").join(id).exists() {
+                if !lives(id) {
                     break;
                 }
                 std::thread::sleep(Duration::from_millis(100));
             }
         }
     }
+}
+
+/// True while a process runs; one that ended and was not waited for does not.
+pub fn lives(id: &str) -> bool {
+    let stat = std::fs::read_to_string(Path::new("/proc").join(id).join("stat")).unwrap_or_default();
+    stat.rsplit_once(") ").is_some_and(|(_, rest)| !rest.starts_with('Z'))
 }
 
 fn has(program: &str) -> bool {
