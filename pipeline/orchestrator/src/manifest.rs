@@ -314,7 +314,11 @@ fn read(path: &Path) -> Result<String> {
         .read_to_end(&mut bytes)
         .map_err(io("cannot read the manifest", path))?;
     if bytes.len() > MOST_BYTES {
-        let message = format!("the manifest `{}` is larger than {} MiB", path.display(), MOST_BYTES >> 20);
+        let message = format!(
+            "the manifest `{}` is larger than {} MiB",
+            path.display(),
+            MOST_BYTES >> 20
+        );
         return Err(Error::usage(message).with_hint(
             "name a folder of episodes under `[input]`; `include` and `exclude` take some of them; or split the run",
         ));
@@ -322,8 +326,7 @@ fn read(path: &Path) -> Result<String> {
     String::from_utf8(bytes).map_err(|error| {
         let at = error.utf8_error().valid_up_to();
         let line = error.as_bytes()[..at].iter().filter(|&&byte| byte == b'\n').count() + 1;
-        Error::usage(format!("`{}` line {line}: no UTF-8 text", path.display()))
-            .with_hint("save the manifest as UTF-8")
+        Error::usage(format!("`{}` line {line}: no UTF-8 text", path.display())).with_hint("save the manifest as UTF-8")
     })
 }
 

@@ -1,0 +1,16 @@
+//! What lies in the data of people: every row of the table of bad inputs in `docs/faults.md`, through the program, with the
+//! message that a person sees. One bad episode or file never stops, changes or hides another.
+
+#[path = "../support/mod.rs"]
+mod support;
+
+mod cameras;
+mod cases;
+mod environments;
+mod files;
+mod images;
+mod manifests;
+mod reports;
+mod robots;
+mod states;
+mod videos;
