@@ -189,7 +189,6 @@ impl Pass<'_> {
     fn tile(&self, tile: &TileOutput, touched: &tile::Touched, rows: &mut [f32]) -> [f64; 3] {
         let channels = self.tape.extra_channels;
         let (pixels, background) = self.output_layer(tile);
-        let depth = !(self.gradient.depth_accumulated.is_empty() && self.gradient.depth_expected.is_empty());
         for first in (0..channels.max(1)).step_by(EXTRA) {
             let count = EXTRA.min(channels - first.min(channels));
             let extra = Extra {
@@ -199,17 +198,15 @@ impl Pass<'_> {
                 count,
             };
             if count > 0 {
-                self.walk::<EXTRA, true>(tile, touched, extra, &pixels, rows);
-            } else if depth {
-                self.walk::<0, true>(tile, touched, extra, &pixels, rows);
+                self.walk::<EXTRA>(tile, touched, extra, &pixels, rows);
             } else {
-                self.walk::<0, false>(tile, touched, extra, &pixels, rows);
+                self.walk::<0>(tile, touched, extra, &pixels, rows);
             }
         }
         background
     }
 
-    fn walk<const X: usize, const DEPTH: bool>(
+    fn walk<const X: usize>(
         &self,
         tile: &TileOutput,
         touched: &tile::Touched,
@@ -217,7 +214,7 @@ impl Pass<'_> {
         pixels: &PixelGradient,
         rows: &mut [f32],
     ) {
-        let kernel = tile::Walk::<'_, X, DEPTH> {
+        let kernel = tile::Walk::<'_, X> {
             tile,
             touched,
             records: &self.tape.projection.records,

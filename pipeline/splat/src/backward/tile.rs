@@ -71,9 +71,8 @@ fn ahead(last: u32, first: usize) -> u64 {
     if ahead >= BATCH { u64::MAX } else { (1 << ahead) - 1 }
 }
 
-/// Sums the moments of every touched slot of a tile. `X`: extra channels of this pass; `DEPTH`: whether the loss depends on
-/// depth (where not, its sums are zeros).
-pub(super) struct Walk<'a, const X: usize, const DEPTH: bool> {
+/// Sums the moments of every touched slot of a tile. `X`: extra channels of this pass.
+pub(super) struct Walk<'a, const X: usize> {
     pub(super) tile: &'a TileOutput,
     pub(super) touched: &'a Touched,
     pub(super) records: &'a [Projected],
@@ -95,7 +94,7 @@ struct Block {
     end: [u32; LANES],
 }
 
-impl<const X: usize, const DEPTH: bool> WithSimd for Walk<'_, X, DEPTH> {
+impl<const X: usize> WithSimd for Walk<'_, X> {
     type Output = ();
 
     #[inline(always)]
@@ -138,7 +137,7 @@ impl<const X: usize, const DEPTH: bool> WithSimd for Walk<'_, X, DEPTH> {
                 let record = &records[tile.list.order[here] as usize];
                 let mut values = [0.0; EXTRA];
                 extra.copy(record.gaussian as usize, &mut values);
-                let sums = one::<S, X, DEPTH>(simd, record, &values, here, alpha_max, at, &mut blocks);
+                let sums = one::<S, X>(simd, record, &values, here, alpha_max, at, &mut blocks);
                 let row = touched.row[tile.list.slot(here)] as usize * stride;
                 let to = &mut rows[row..row + stride];
                 if first_pass {
@@ -219,7 +218,7 @@ fn transpose_bits(rows: &mut [u64; 8]) {
 
 /// One Gaussian over the blocks in `at`: its moments, then its extra channels, one a lane.
 #[inline(always)]
-fn one<S: Simd, const X: usize, const DEPTH: bool>(
+fn one<S: Simd, const X: usize>(
     simd: S,
     record: &Projected,
     extra: &[f32; EXTRA],
@@ -257,9 +256,6 @@ fn one<S: Simd, const X: usize, const DEPTH: bool>(
         let weight = simd.mul_f32s(alpha, transmittance);
         let mut seen = simd.mul_f32s(load::<S>(&block.gradient[0]), simd.splat_f32s(values[0]));
         for k in 1..4 + X {
-            if k == 3 && !DEPTH {
-                continue;
-            }
             seen = simd.mul_add_f32s(load::<S>(&block.gradient[k]), simd.splat_f32s(values[k]), seen);
         }
         let behind = load::<S>(&block.behind);
@@ -275,9 +271,6 @@ fn one<S: Simd, const X: usize, const DEPTH: bool>(
         sums[4] = simd.mul_add_f32s(dpl, dy, sums[4]);
         sums[5] = simd.mul_add_f32s(dpy, dy, sums[5]);
         for k in 0..4 + X {
-            if k == 3 && !DEPTH {
-                continue;
-            }
             sums[6 + k] = simd.mul_add_f32s(weight, load::<S>(&block.gradient[k]), sums[6 + k]);
         }
     }
@@ -285,7 +278,7 @@ fn one<S: Simd, const X: usize, const DEPTH: bool>(
     for k in 0..MOMENTS + X {
         vectors[k] = sums[k];
     }
-    horizontal_sums(simd, vectors)
+    horizontal_sums(simd, &vectors)
 }
 
 impl Block {
