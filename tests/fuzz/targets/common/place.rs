@@ -3,14 +3,9 @@
 
 use std::path::{Path, PathBuf};
 
-/// A folder of this process, in memory where the system has such a place.
+/// A folder of this process, in the place that `tests/fuzz/run` makes and removes.
 pub fn folder() -> PathBuf {
-    let memory = Path::new("/dev/shm");
-    let root = if memory.is_dir() {
-        memory.to_owned()
-    } else {
-        std::env::temp_dir()
-    };
+    let root = std::env::var_os("ROGS_FUZZ_PLACE").map_or_else(std::env::temp_dir, PathBuf::from);
     let folder = root.join(format!("rogs-fuzz-{}", std::process::id()));
     std::fs::create_dir_all(&folder).expect("a folder for inputs");
     folder
