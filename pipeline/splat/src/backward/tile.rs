@@ -238,7 +238,7 @@ fn one<S: Simd, const X: usize>(
     let values = [red, green, blue, record.z, e0, e1, e2, e3];
     let opacity = simd.splat_f32s(record.opacity);
     let here = simd.splat_u32s(place as u32);
-    let mut sums = [zero; MOMENTS + EXTRA];
+    let mut sums = [zero; LANES];
     while at != 0 {
         let block = &mut blocks[at.trailing_zeros() as usize];
         at &= at - 1;
@@ -274,11 +274,7 @@ fn one<S: Simd, const X: usize>(
             sums[6 + k] = simd.mul_add_f32s(weight, load::<S>(&block.gradient[k]), sums[6 + k]);
         }
     }
-    let mut vectors = [zero; LANES];
-    for k in 0..MOMENTS + X {
-        vectors[k] = sums[k];
-    }
-    horizontal_sums(simd, &vectors)
+    horizontal_sums(simd, &sums)
 }
 
 impl Block {
