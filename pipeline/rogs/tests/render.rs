@@ -326,6 +326,35 @@ fn a_ply_is_written_in_either_frame_and_renders_as_the_field_does() {
     }
 }
 
+/// Built with the feature `gpu`; skipped, with the reason, where there is no graphics adapter (Mesa's software Vulkan is one).
+#[cfg(feature = "gpu")]
+#[test]
+fn a_graphics_processor_draws_the_picture_of_the_processor() {
+    if let Err(error) = rogs_splat::RasterDevice::open("gpu") {
+        println!("skipped: {error}");
+        return;
+    }
+    let workspace = Workspace::new();
+    let picture = |device: &str| {
+        let common = ["field.r4c", "--time", "1", "--camera", "camera.json", "--npz"];
+        workspace.good(&[common.as_slice(), &["--out", device, "--device", device]].concat());
+        let png = image::open(workspace.path(device).join("front.png")).unwrap().to_rgb8();
+        (read_npz(&workspace.path(device).join("front.npz")), png.into_raw())
+    };
+    let ((ours, ours_png), (reference, reference_png)) = (picture("gpu"), picture("cpu"));
+    for name in ["rgb", "alpha", "depth", "displacement"] {
+        let values = &reference[name].values;
+        assert!(values.iter().any(|v| *v > 0.05), "{name} shows something");
+        assert_eq!(ours[name].values.len(), values.len());
+        let worst = (ours[name].values.iter().zip(values))
+            .map(|(a, b)| (a - b).abs())
+            .fold(0.0, f64::max);
+        assert!(worst < 1e-5, "{name}: {worst}");
+    }
+    assert_eq!(ours_png.len(), reference_png.len());
+    assert!(ours_png.iter().zip(&reference_png).all(|(a, b)| a.abs_diff(*b) <= 1));
+}
+
 #[test]
 fn requests_that_make_no_sense_are_refused_with_a_reason() {
     let workspace = Workspace::new();
