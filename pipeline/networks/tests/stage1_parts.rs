@@ -292,11 +292,7 @@ fn head_depth_and_splat_by_stages() {
         let Some(golden) = Golden::open(name) else { return };
         let head = network.head(kind).unwrap();
         check_stages(&golden, "", tolerance, |observe| {
-            let _ = head.forward_observed(
-                &head.projections(None),
-                &encoded,
-                observe,
-            );
+            let _ = head.forward_observed(&head.projections(None), &encoded, observe);
         });
         if let Some(shortcut) = head.shortcut(forward.tensor("in.images", [4, 3, 28, 42], &device)) {
             close("shortcut", &host(shortcut), golden.values("shortcut"), tolerance);
@@ -323,11 +319,7 @@ fn head_motion_splat_by_stages() {
         1e-5,
     );
     check_stages(&golden, ".t1", 2e-5, |observe| {
-        let _ = head.forward_observed(
-            &head.projections(Some(0.3125)),
-            &encoded,
-            observe,
-        );
+        let _ = head.forward_observed(&head.projections(Some(0.3125)), &encoded, observe);
     });
     let raw = |name: &str, channels: usize| forward.tensor::<4>(name, [4, channels, 28, 42], &device);
     let base = Tensor::cat(

@@ -12,6 +12,7 @@ mod linear;
 mod products;
 mod resize;
 mod rotary;
+mod weight_gradient;
 
 use std::fmt;
 use std::sync::Arc;
