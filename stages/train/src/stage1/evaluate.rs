@@ -29,6 +29,15 @@ struct View {
     depth: Vec<f32>,
 }
 
+/// What is known of one clip.
+struct Scored {
+    scores: BTreeMap<&'static str, f64>,
+    /// All views at its last query time.
+    views: Vec<View>,
+    /// Depth of the head, internal units. `[S, A]`
+    head_depth: Vec<f32>,
+}
+
 /// Scores held-out clips; the picture shows the first one.
 ///
 /// # Errors
@@ -40,7 +49,11 @@ pub(super) fn evaluate(network: &Stage1, settings: &Stage1Training) -> Result<Ev
     for index in 0..settings.evaluation_clips {
         let plan = ClipPlan::evaluation(settings.data.held_out_seed + index, &settings.data);
         let sample = plan.sample(&settings.data, true)?;
-        let (scores, views, head_depth) = score(&network, &sample)?;
+        let Scored {
+            scores,
+            views,
+            head_depth,
+        } = score(&network, &sample)?;
         for (name, value) in scores {
             *evaluation.scores.entry(name.to_owned()).or_insert(0.0) += value / settings.evaluation_clips as f64;
         }
@@ -54,7 +67,7 @@ pub(super) fn evaluate(network: &Stage1, settings: &Stage1Training) -> Result<Ev
     Ok(evaluation)
 }
 
-/// Scores of one clip, all views at its last query time, and the depth of the head.
+/// Scores of one clip.
 ///
 /// | score | |
 /// |---|---|
@@ -65,7 +78,7 @@ pub(super) fn evaluate(network: &Stage1, settings: &Stage1Training) -> Result<Ev
 /// | `robot_epe_mm` | mean distance of predicted and true displacement at robot pixels |
 /// | `robot_epe_unconditioned_mm` | the same with all conditioning maps zero |
 /// | `object_epe_mm` | the same at pixels of objects |
-fn score(network: &Stage1, sample: &Sample) -> Result<(BTreeMap<&'static str, f64>, Vec<View>, Vec<f32>)> {
+fn score(network: &Stage1, sample: &Sample) -> Result<Scored> {
     let lifted = lift(network, sample, true, Heads::All)?;
     let bare = lift(network, sample, false, Heads::All)?;
     let mut means = Means::default();
@@ -126,7 +139,11 @@ fn score(network: &Stage1, sample: &Sample) -> Result<(BTreeMap<&'static str, f6
             }
         }
     }
-    Ok((means.values(), last, depth))
+    Ok(Scored {
+        scores: means.values(),
+        views: last,
+        head_depth: depth,
+    })
 }
 
 /// Distances of displacements at robot (true) and object pixels, millimetres.

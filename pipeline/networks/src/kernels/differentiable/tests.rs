@@ -22,12 +22,11 @@ fn close(own: Vec<f32>, other: Vec<f32>, what: &str) {
     }
 }
 
+/// Reads the gradient of a tensor.
+type GradientOf<'a> = &'a dyn Fn(&burn::tensor::Gradients) -> Vec<f32>;
+
 /// Compares two results, and the gradients of their inputs under the same slopes.
-fn same<const R: usize>(
-    own: Tensor<R>,
-    other: Tensor<R>,
-    inputs: &[(&str, &dyn Fn(&burn::tensor::Gradients) -> Vec<f32>)],
-) {
+fn same<const R: usize>(own: Tensor<R>, other: Tensor<R>, inputs: &[(&str, GradientOf<'_>)]) {
     close(to_host(own.clone()).unwrap(), to_host(other.clone()).unwrap(), "value");
     let slope = noise(own.dims(), 99).detach();
     let (own, other) = ((own * slope.clone()).sum().backward(), (other * slope).sum().backward());
