@@ -114,15 +114,18 @@ fn weights_say_what_they_were_trained_on() {
     };
     let mut trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
     run(&mut trainer, folder.path(), None, &mut |_| {}).unwrap();
-    let weights = folder.path().join("model.safetensors");
-    let model = rogs_lift::load_model(&LiftParams::default(), Some(&weights)).unwrap();
+    let built_in = folder.path().join("built-in.safetensors");
+    std::fs::write(&built_in, rogs_lift::COMPACT_WEIGHTS).unwrap();
     let plan = ClipPlan::draw(3, 1, &settings.data, &mut Pcg64::from_seed(3));
-    let mut clip = plan.records(&settings.data).unwrap().clip;
-    assert_eq!(model.out_of_distribution(&clip), None);
-    clip.calibration_note = "measured".into();
-    let warning = model.out_of_distribution(&clip).unwrap();
-    assert!(
-        warning.starts_with("OUT OF DISTRIBUTION") && warning.contains(&clip.clip_id),
-        "{warning}"
-    );
+    for weights in [folder.path().join("model.safetensors"), built_in] {
+        let model = rogs_lift::load_model(&LiftParams::default(), Some(&weights)).unwrap();
+        let mut clip = plan.records(&settings.data).unwrap().clip;
+        assert_eq!(model.out_of_distribution(&clip), None);
+        clip.calibration_note = "measured".into();
+        let warning = model.out_of_distribution(&clip).unwrap();
+        assert!(
+            warning.starts_with("OUT OF DISTRIBUTION") && warning.contains(&clip.clip_id),
+            "{warning}"
+        );
+    }
 }
