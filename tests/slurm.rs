@@ -36,12 +36,8 @@ fn submit_and_wait(workspace: &Workspace, cluster: &Cluster, manifest: &str) -> 
 }
 
 #[test]
-#[ignore = "long: real Slurm"]
+#[ignore = "long: starts a Slurm on this host and runs all stages on it"]
 fn real_stages_through_slurm_give_a_report_and_the_bytes_of_a_local_run() {
-    if std::env::var_os("ROGS_REQUIRE_SLURM").is_none() {
-        eprintln!("skipped: takes minutes; set ROGS_REQUIRE_SLURM=1");
-        return;
-    }
     let Some(turn) = Cluster::get() else { return };
     let workspace = Workspace::small(2);
     workspace.manifest("cluster.toml", "cluster");

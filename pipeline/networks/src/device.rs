@@ -8,8 +8,16 @@ use burn::tensor::Device;
 
 use crate::{Error, Result};
 
-/// Names of [`open`].
-pub const NAMES: [&str; 2] = ["cpu", "gpu"];
+/// Checks that a device has this name, whether or not this machine has it.
+///
+/// # Errors
+/// When the name is neither `cpu` nor `gpu`.
+pub fn check(name: &str) -> Result<()> {
+    match name {
+        "cpu" | "gpu" => Ok(()),
+        _ => Err(Error::Device(format!("`device` must be `cpu` or `gpu`, not `{name}`"))),
+    }
+}
 
 /// The device of a name: `cpu`, or `gpu` for the system's preferred graphics adapter, which networks share with the
 /// rasteriser.
@@ -17,13 +25,8 @@ pub const NAMES: [&str; 2] = ["cpu", "gpu"];
 /// # Errors
 /// When the name is another, when this program was built without the feature `gpu`, or when there is no adapter.
 pub fn open(name: &str) -> Result<Device> {
-    match name {
-        "cpu" => Ok(Device::flex()),
-        "gpu" => graphics(),
-        _ => Err(Error::BadConfiguration(format!(
-            "a device is `cpu` or `gpu`, not `{name}`"
-        ))),
-    }
+    check(name)?;
+    if name == "gpu" { graphics() } else { Ok(Device::flex()) }
 }
 
 /// Whether tensors of a device are those of the processor, recording gradients or not.

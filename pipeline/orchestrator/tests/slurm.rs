@@ -109,7 +109,7 @@ impl Site {
 }
 
 #[test]
-#[ignore = "long: real Slurm"]
+#[ignore = "long: starts a Slurm on this host"]
 fn slurm_local_and_exported_plans_give_the_same_bytes() {
     let Some(site) = Site::new() else { return };
     let submitted = site.submit_and_wait();
@@ -154,7 +154,7 @@ fn slurm_local_and_exported_plans_give_the_same_bytes() {
 }
 
 #[test]
-#[ignore = "long: real Slurm"]
+#[ignore = "long: starts a Slurm on this host"]
 fn one_corrupt_episode_leaves_the_others_alone_and_the_next_submission_is_sparse() {
     let Some(site) = Site::new() else { return };
     site.workspace.episode("b", "fail@lift");
@@ -196,7 +196,7 @@ fn one_corrupt_episode_leaves_the_others_alone_and_the_next_submission_is_sparse
 }
 
 #[test]
-#[ignore = "long: real Slurm"]
+#[ignore = "long: starts a Slurm on this host"]
 fn a_killed_task_loses_one_unit_and_nothing_done_is_made_again() {
     let Some(site) = Site::new() else { return };
     let submitted = site.submit("b@lift@begin");
@@ -232,7 +232,7 @@ fn a_killed_task_loses_one_unit_and_nothing_done_is_made_again() {
 }
 
 #[test]
-#[ignore = "long: real Slurm"]
+#[ignore = "long: starts a Slurm on this host"]
 fn a_drained_task_ends_with_75_leaves_nothing_behind_and_goes_on() {
     let Some(site) = Site::new() else { return };
     let submitted = site.submit("b@conditioning@begin");
@@ -258,7 +258,7 @@ fn a_drained_task_ends_with_75_leaves_nothing_behind_and_goes_on() {
 }
 
 #[test]
-#[ignore = "long: real Slurm"]
+#[ignore = "long: starts a Slurm on this host"]
 fn a_requeued_task_goes_on_by_itself_and_keeps_its_first_log() {
     let Some(site) = Site::new() else { return };
     let submitted = site.submit("b@lift@begin");
@@ -285,7 +285,7 @@ fn a_requeued_task_goes_on_by_itself_and_keeps_its_first_log() {
 }
 
 #[test]
-#[ignore = "long: real Slurm"]
+#[ignore = "long: starts a Slurm on this host"]
 fn a_controller_and_nodes_that_die_and_come_back_cost_nothing() {
     let Some(site) = Site::new() else { return };
     let submitted = site.submit("b@lift@begin");
@@ -306,7 +306,7 @@ fn a_controller_and_nodes_that_die_and_come_back_cost_nothing() {
 }
 
 #[test]
-#[ignore = "long: real Slurm"]
+#[ignore = "long: starts a Slurm on this host"]
 fn a_shard_that_runs_out_of_memory_gets_more_the_next_time() {
     let Some(site) = Site::new() else { return };
     site.workspace.episode("c", "memory@lift");
@@ -331,7 +331,7 @@ fn a_shard_that_runs_out_of_memory_gets_more_the_next_time() {
 }
 
 #[test]
-#[ignore = "long: real Slurm"]
+#[ignore = "long: starts a Slurm on this host"]
 fn a_unit_whose_predecessor_vanished_names_the_input_it_lacks() {
     let Some(site) = Site::new() else { return };
     site.submit_and_wait();

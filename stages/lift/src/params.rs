@@ -167,12 +167,7 @@ impl LiftParams {
         if self.latent_stride.is_some_and(|stride| ![8, 16].contains(&stride)) {
             return Err(StageError::bad_params("`latent_stride` must be 8 or 16, or null"));
         }
-        if !device::NAMES.contains(&self.device.as_str()) {
-            return Err(StageError::bad_params(format!(
-                "`device` must be `cpu` or `gpu`, not `{}`",
-                self.device
-            )));
-        }
+        device::check(&self.device).map_err(|error| StageError::bad_params(error.to_string()))?;
         if self.device != "cpu" && self.precision == Numbers::Bf16 {
             return Err(StageError::bad_params(
                 "`precision = \"bf16\"` is for the processor: graphics processors are programmed in WGSL here, which has no \

@@ -69,12 +69,7 @@ impl RefineParams {
                 self.epsilon
             )));
         }
-        if !device::NAMES.contains(&self.device.as_str()) {
-            return Err(StageError::bad_params(format!(
-                "`device` must be `cpu` or `gpu`, not `{}`",
-                self.device
-            )));
-        }
+        device::check(&self.device).map_err(|error| StageError::bad_params(error.to_string()))?;
         Ok((config, updates))
     }
 }

@@ -29,8 +29,47 @@ impl Picture {
     }
 }
 
+/// A picture of equal cells.
+pub(crate) struct Canvas {
+    cell: [usize; 2],
+    columns: usize,
+    picture: Picture,
+}
+
+impl Canvas {
+    /// A black picture of `rows x columns` cells of `height x width` pixels.
+    pub(crate) fn new(cell: [usize; 2], [rows, columns]: [usize; 2]) -> Self {
+        let (height, width) = (rows * cell[0], columns * cell[1]);
+        Self {
+            cell,
+            columns,
+            picture: Picture {
+                width: width as u32,
+                height: height as u32,
+                rgb: vec![0; height * width * 3],
+            },
+        }
+    }
+
+    /// Fills the cell at a row and column with `value(pixel, channel)` in 0..1.
+    pub(crate) fn paint(&mut self, [row, column]: [usize; 2], value: impl Fn(usize, usize) -> f32) {
+        let [height, width] = self.cell;
+        for pixel in 0..height * width {
+            let (y, x) = (row * height + pixel / width, column * width + pixel % width);
+            for channel in 0..3 {
+                self.picture.rgb[(y * self.columns * width + x) * 3 + channel] = byte(value(pixel, channel));
+            }
+        }
+    }
+
+    /// The picture.
+    pub(crate) fn finish(self) -> Picture {
+        self.picture
+    }
+}
+
 /// A value in 0..1 as a byte.
-pub(crate) fn byte(value: f32) -> u8 {
+fn byte(value: f32) -> u8 {
     (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
 }
 

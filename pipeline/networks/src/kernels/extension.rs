@@ -4,9 +4,10 @@ use std::sync::{Arc, OnceLock};
 
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Dispatch, Flex, backend_extension};
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Tensor, TensorData};
 
 use super::product::{PackedWeight, Precision};
+use crate::device::is_cpu;
 
 /// A function of the values of two tensors; returns the values of the result.
 pub(crate) type HostReader = Arc<dyn Fn(&[f32], &[f32]) -> Vec<f32> + Send + Sync>;
@@ -38,7 +39,7 @@ impl HostKernels for Flex {
 
 /// Whether kernels may be used: f32 values on the CPU that record no gradients.
 pub(crate) fn usable<const D: usize>(tensor: &Tensor<D>) -> bool {
-    !tensor.is_autodiff() && tensor.device() == Device::flex() && tensor.dtype() == burn::tensor::DType::F32
+    !tensor.is_autodiff() && is_cpu(&tensor.device()) && tensor.dtype() == burn::tensor::DType::F32
 }
 
 /// Runs a kernel on the values of two tensors.

@@ -5,7 +5,7 @@ use burn::tensor::Tensor;
 use super::block::{Block, BlockKind};
 use super::config::{POSE_NUMBERS, Stage1Config};
 use super::encoder::patch_projection;
-use super::geometry::{Camera, encode_time};
+use super::geometry::{Camera, encode_time, ray_maps};
 use super::positions::{Rotary, RotaryTable, token_positions};
 use crate::kernels::Precision;
 use crate::ops::Linear;
@@ -59,11 +59,7 @@ impl<'a> Aggregator<'a> {
     /// # Errors
     /// When a tensor is missing or has another shape.
     pub fn ray_embedding(&self, cameras: &[Camera], [height, width]: [usize; 2]) -> Result<Tensor<3>> {
-        let mut maps = Vec::with_capacity(cameras.len() * 6 * height * width);
-        cameras
-            .iter()
-            .for_each(|camera| maps.extend(camera.ray_map(height, width)));
-        let maps = from_host(maps, [cameras.len(), 6, height, width], self.parameters.device());
+        let maps = ray_maps(cameras, [height, width], self.parameters.device());
         let (channels, patch) = (self.config.width, self.config.patch);
         let scope = self.parameters.scope("backbone.plucker_embed.net");
         let weight = scope

@@ -1,6 +1,6 @@
 //! The image encoder: patch tokens of each frame on its own (`stage1-network.md` section 3).
 
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::Tensor;
 
 use super::block::{Block, BlockKind};
 use super::config::{RGB_MEAN, RGB_STD, Stage1Config};
@@ -58,9 +58,7 @@ impl<'a> Encoder<'a> {
     /// # Errors
     /// As [`Self::forward`].
     pub fn patches(&self, images: Tensor<4>) -> Result<Tensor<3>> {
-        let device = self.scope.device();
-        let channel = |values: [f32; 3]| Tensor::<4>::from_data(TensorData::new(values.to_vec(), [1, 3, 1, 1]), device);
-        let normalised = (images - channel(RGB_MEAN)) / channel(RGB_STD);
+        let normalised = normalised(images);
         let (width, patch) = (self.config.width, self.config.patch);
         let projection = self.scope.child("patch_embed.proj");
         let weight = projection.get("weight", [width, 3, patch, patch])?;
@@ -104,6 +102,13 @@ impl<'a> Encoder<'a> {
         let kind = BlockKind::ENCODER.with(self.precision);
         Block::load(&scope, kind, self.config.width, self.config.heads)
     }
+}
+
+/// RGB in [0, 1] less the mean, divided by the standard deviation of each colour. `[S, 3, H, W]`
+pub(super) fn normalised(images: Tensor<4>) -> Tensor<4> {
+    let device = images.device();
+    let channel = |values: [f32; 3]| from_host::<4>(values.to_vec(), [1, 3, 1, 1], &device);
+    (images - channel(RGB_MEAN)) / channel(RGB_STD)
 }
 
 /// A convolution whose stride is its kernel size, as one matrix product. `[S, c, H, W] -> [S, N, C]`

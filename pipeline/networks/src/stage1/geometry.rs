@@ -1,5 +1,8 @@
 //! Cameras and times as the network sees them: ray maps, pose numbers, time encodings, unprojection.
 
+use burn::tensor::{Device, Tensor};
+
+use crate::parameters::from_host;
 use crate::{Error, Result};
 
 /// A source camera in internal units: camera-to-reconstruction pose (OpenCV axes) and intrinsics divided by the image
@@ -141,4 +144,11 @@ pub fn encode_time(time: f32, frequencies: usize) -> Vec<f32> {
     let sines = (0..frequencies).map(|power| libm::sinf(angle(power)));
     let cosines = (0..frequencies).map(|power| libm::cosf(angle(power)));
     sines.chain(cosines).collect()
+}
+
+/// Ray maps of cameras on a device. `[S, 6, H, W]`
+#[must_use]
+pub fn ray_maps(cameras: &[Camera], [height, width]: [usize; 2], device: &Device) -> Tensor<4> {
+    let maps = cameras.iter().flat_map(|camera| camera.ray_map(height, width));
+    from_host(maps.collect(), [cameras.len(), 6, height, width], device)
 }

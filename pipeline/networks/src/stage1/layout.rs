@@ -47,7 +47,8 @@ impl ParameterSpec {
     }
 }
 
-/// The parameters of the released network in this configuration (1,478 in `full`).
+/// The parameters of the network in this configuration: those of the released one (1,478 in `full`), and the stem's where
+/// there is one.
 #[must_use]
 pub fn released(config: &Stage1Config) -> Vec<ParameterSpec> {
     let mut list = List::default();

@@ -6,10 +6,11 @@
 
 use burn::tensor::Tensor;
 
-use super::config::{RGB_MEAN, RGB_STD, Stage1Config};
-use super::geometry::Camera;
+use super::config::Stage1Config;
+use super::encoder::normalised;
+use super::geometry::{Camera, ray_maps};
 use crate::ops::{self, Conv, Linear};
-use crate::parameters::{Scope, from_host};
+use crate::parameters::Scope;
 use crate::{Error, Result};
 
 /// Side of the cells that a level of the stem sees as one pixel.
@@ -45,15 +46,8 @@ impl<'a> Stem<'a> {
             let poses = cameras.len();
             return Err(Error::BadInput(format!("{frames} images come with {poses} cameras")));
         }
-        let device = self.scope.device();
-        let channel = |values: [f32; 3]| from_host::<4>(values.to_vec(), [1, 3, 1, 1], device);
-        let colours = (images - channel(RGB_MEAN)) / channel(RGB_STD);
-        let rays = cameras
-            .iter()
-            .flat_map(|camera| camera.ray_map(height, width))
-            .collect();
-        let rays = from_host(rays, [frames, INPUTS - 3, height, width], device);
-        let first = self.level(0, Tensor::cat(vec![colours, rays], 1))?;
+        let rays = ray_maps(cameras, [height, width], self.scope.device());
+        let first = self.level(0, Tensor::cat(vec![normalised(images), rays], 1))?;
         let second = self.level(1, first.clone())?;
         let third = self.level(2, second.clone())?;
         let fourth = self.level(3, third.clone())?;
@@ -105,7 +99,7 @@ mod tests {
     use burn::tensor::Device;
 
     use super::*;
-    use crate::parameters::to_host;
+    use crate::parameters::{from_host, to_host};
 
     #[test]
     fn an_odd_side_is_made_even() {

@@ -11,7 +11,7 @@ use rogs_splat::RasterConfig;
 use super::forward::{Heads, attributes, gaussians, lift};
 use crate::config::Stage1Training;
 use crate::error::Result;
-use crate::picture::{Picture, byte, peak_signal};
+use crate::picture::{Canvas, Picture, peak_signal};
 use crate::plan::ClipPlan;
 use crate::run::Evaluation;
 use crate::sample::{Query, Sample};
@@ -187,7 +187,7 @@ fn grid(sample: &Sample, query: &Query, views: &[View], head_depth: &[f32]) -> P
         picture.paint([5, column], |pixel, _| shade(sample.depth_iu[source * area + pixel]));
         picture.paint([6, column], |pixel, _| shade(head_depth[source * area + pixel]));
     }
-    picture.picture
+    picture.finish()
 }
 
 /// Brightness of a depth, internal units: near is bright, 10 and what has no depth are black.
@@ -196,40 +196,6 @@ fn shade(depth: f32) -> f32 {
         1.0 - (depth / 10.0).min(1.0)
     } else {
         0.0
-    }
-}
-
-/// A picture of equal cells.
-struct Canvas {
-    cell: [usize; 2],
-    columns: usize,
-    picture: Picture,
-}
-
-impl Canvas {
-    /// A black picture of `rows x columns` cells of `height x width` pixels.
-    fn new(cell: [usize; 2], [rows, columns]: [usize; 2]) -> Self {
-        let (height, width) = (rows * cell[0], columns * cell[1]);
-        Self {
-            cell,
-            columns,
-            picture: Picture {
-                width: width as u32,
-                height: height as u32,
-                rgb: vec![0; height * width * 3],
-            },
-        }
-    }
-
-    /// Fills the cell at a row and column with `value(pixel, channel)` in 0..1.
-    fn paint(&mut self, [row, column]: [usize; 2], value: impl Fn(usize, usize) -> f32) {
-        let [height, width] = self.cell;
-        for pixel in 0..height * width {
-            let (y, x) = (row * height + pixel / width, column * width + pixel % width);
-            for channel in 0..3 {
-                self.picture.rgb[(y * self.columns * width + x) * 3 + channel] = byte(value(pixel, channel));
-            }
-        }
     }
 }
 

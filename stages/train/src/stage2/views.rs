@@ -8,7 +8,7 @@ use rogs_splat::{Camera, RasterConfig, TimedField, render};
 
 use super::lifted::LiftedClip;
 use crate::error::Result;
-use crate::picture::{Picture, byte};
+use crate::picture::{Canvas, Picture};
 use crate::sample::SOURCE_CAMERAS;
 
 /// A view of the field after some updates, RGB in 0..1. `[A, 3]`
@@ -53,25 +53,16 @@ pub(super) fn seen(clip: &Clip, frame: u32, camera: usize) -> Vec<f32> {
 /// Rows: seen, Stage 1, refined; columns: the source cameras.
 pub(super) fn picture(lifted: &LiftedClip, refinement: &Refinement, updates: u32, frame: u32) -> Result<Picture> {
     let clip = &lifted.records.clip;
-    let (height, width) = (clip.height as usize, clip.width as usize);
-    let row = 3 * SOURCE_CAMERAS * width;
-    let mut rgb = vec![0u8; 3 * height * row];
+    let mut picture = Canvas::new([clip.height as usize, clip.width as usize], [3, SOURCE_CAMERAS]);
     for camera in 0..SOURCE_CAMERAS {
         let images = [
             seen(clip, frame, camera),
             view(lifted, refinement, 0, frame, camera)?,
             view(lifted, refinement, updates, frame, camera)?,
         ];
-        for (block, image) in images.iter().enumerate() {
-            for (y, line) in image.chunks_exact(3 * width).enumerate() {
-                let out = &mut rgb[(block * height + y) * row + 3 * camera * width..][..3 * width];
-                (out.iter_mut().zip(line)).for_each(|(out, &value)| *out = byte(value));
-            }
+        for (row, image) in images.iter().enumerate() {
+            picture.paint([row, camera], |pixel, channel| image[3 * pixel + channel]);
         }
     }
-    Ok(Picture {
-        width: (SOURCE_CAMERAS * width) as u32,
-        height: (3 * height) as u32,
-        rgb,
-    })
+    Ok(picture.finish())
 }

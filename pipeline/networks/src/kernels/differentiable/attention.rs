@@ -3,6 +3,7 @@
 use burn::tensor::Tensor;
 use rayon::prelude::*;
 
+use super::lanes::{largest, sum};
 use super::products::product;
 use super::{INPUTS, InputGradients, Operation, of_three};
 use crate::kernels::{pointwise, vectorised};
@@ -43,7 +44,7 @@ impl Attention {
                     for value in row.iter_mut() {
                         *value = pointwise::exp(value.mul_add(scale, -top));
                     }
-                    let inverse = 1.0 / total(row);
+                    let inverse = 1.0 / sum(row, |value| value);
                     row.iter_mut().for_each(|value| *value *= inverse);
                 }
             },
@@ -53,35 +54,6 @@ impl Attention {
     fn head_len(&self) -> usize {
         (self.tokens * self.size).max(1)
     }
-}
-
-/// Lanes of a reduction, so that it needs no particular vector width.
-const LANES: usize = 16;
-
-#[inline(always)]
-fn reduce(row: &[f32], start: f32, join: impl Fn(f32, f32) -> f32) -> f32 {
-    let mut lanes = [start; LANES];
-    let whole = row.chunks_exact(LANES);
-    let rest = whole.remainder();
-    for part in whole {
-        for (lane, &value) in lanes.iter_mut().zip(part) {
-            *lane = join(*lane, value);
-        }
-    }
-    for (lane, &value) in lanes.iter_mut().zip(rest) {
-        *lane = join(*lane, value);
-    }
-    lanes.into_iter().fold(start, join)
-}
-
-#[inline(always)]
-fn largest(row: &[f32]) -> f32 {
-    reduce(row, f32::NEG_INFINITY, f32::max)
-}
-
-#[inline(always)]
-fn total(row: &[f32]) -> f32 {
-    reduce(row, 0.0, |a, b| a + b)
 }
 
 impl Operation for Attention {
@@ -147,9 +119,9 @@ impl Operation for Attention {
                                 for (slope, weight) in slopes.iter_mut().zip(weights.iter()) {
                                     *slope *= weight;
                                 }
-                                let sum = total(slopes);
+                                let whole = sum(slopes, |value| value);
                                 for (slope, weight) in slopes.iter_mut().zip(weights.iter()) {
-                                    *slope = scale * (*slope - weight * sum);
+                                    *slope = scale * (*slope - weight * whole);
                                 }
                             }
                         },

@@ -3,6 +3,7 @@
 use burn::tensor::Tensor;
 use rayon::prelude::*;
 
+use super::lanes::sum;
 use super::{INPUTS, InputGradients, Operation, of_three};
 use crate::kernels::vectorised;
 
@@ -35,26 +36,6 @@ impl Norm {
         let variance = sum(row, |value| (value - mean) * (value - mean)) / self.size as f32;
         (mean, 1.0 / (variance + self.epsilon).sqrt())
     }
-}
-
-/// Lanes of a sum, so that it needs no particular vector width.
-const LANES: usize = 16;
-
-/// The sum of a function of all values, in a fixed order that vectors can follow.
-#[inline(always)]
-fn sum(values: &[f32], of: impl Fn(f32) -> f32) -> f32 {
-    let mut lanes = [0.0f32; LANES];
-    let whole = values.chunks_exact(LANES);
-    let rest = whole.remainder();
-    for part in whole {
-        for (lane, &value) in lanes.iter_mut().zip(part) {
-            *lane += of(value);
-        }
-    }
-    for (lane, &value) in lanes.iter_mut().zip(rest) {
-        *lane += of(value);
-    }
-    lanes.iter().sum()
 }
 
 impl Operation for Norm {

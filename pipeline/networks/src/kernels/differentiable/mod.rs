@@ -7,6 +7,7 @@
 mod attention;
 mod convolution;
 mod gelu;
+mod lanes;
 mod layer_norm;
 mod linear;
 mod products;
@@ -23,7 +24,9 @@ use burn::backend::autodiff::grads::Gradients as Graph;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Dispatch, Flex, backend_extension};
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::{DType, Tensor, TensorData};
+
+use crate::device::is_cpu;
 
 pub(crate) use attention::attention;
 pub(crate) use convolution::convolve;
@@ -50,9 +53,7 @@ trait Operation: fmt::Debug + Send + Sync {
 
 /// Whether these operations may be used on a tensor: f32 values that record gradients, on the CPU.
 pub(crate) fn usable<const D: usize>(tensor: &Tensor<D>) -> bool {
-    tensor.is_autodiff()
-        && tensor.dtype() == DType::F32
-        && (tensor.device() == Device::flex() || tensor.device() == Device::flex().autodiff())
+    tensor.is_autodiff() && tensor.dtype() == DType::F32 && is_cpu(&tensor.device())
 }
 
 /// A node of one input.
