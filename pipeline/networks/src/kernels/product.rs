@@ -103,16 +103,30 @@ impl PackedWeight {
                         |lane: usize, input: usize| weight[(panel * COLUMNS + lane) * strides[0] + input * strides[1]];
                     // Some units at a time, so that both sides are read and written in whole cache lines.
                     for (part, out) in out.chunks_mut(16 * COLUMNS).enumerate() {
-                        for lane in 0..lanes {
-                            for (unit, out) in out.iter_mut().skip(lane).step_by(COLUMNS).enumerate() {
-                                let input = (first + 16 * part + unit) * numbers;
-                                *out = match precision {
-                                    Precision::F32 => at(lane, input).to_bits(),
-                                    Precision::Bf16 if input + 1 < inputs => {
-                                        bf16::pair(at(lane, input), at(lane, input + 1))
+                        let first = first + 16 * part;
+                        match precision {
+                            Precision::F32 if strides[0] == 1 => {
+                                for (unit, out) in out.chunks_exact_mut(COLUMNS).enumerate() {
+                                    let values = &weight[panel * COLUMNS + (first + unit) * strides[1]..][..lanes];
+                                    (out.iter_mut().zip(values)).for_each(|(out, value)| *out = value.to_bits());
+                                }
+                            }
+                            Precision::F32 => {
+                                for lane in 0..lanes {
+                                    let values = &weight[(panel * COLUMNS + lane) * strides[0] + first * strides[1]..];
+                                    let out = out.iter_mut().skip(lane).step_by(COLUMNS);
+                                    out.zip(values.iter().step_by(strides[1]))
+                                        .for_each(|(out, value)| *out = value.to_bits());
+                                }
+                            }
+                            Precision::Bf16 => {
+                                for lane in 0..lanes {
+                                    for (unit, out) in out.iter_mut().skip(lane).step_by(COLUMNS).enumerate() {
+                                        let input = (first + unit) * numbers;
+                                        let second = if input + 1 < inputs { at(lane, input + 1) } else { 0.0 };
+                                        *out = bf16::pair(at(lane, input), second);
                                     }
-                                    Precision::Bf16 => bf16::pair(at(lane, input), 0.0),
-                                };
+                                }
                             }
                         }
                     }

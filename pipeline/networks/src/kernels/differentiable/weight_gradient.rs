@@ -50,8 +50,8 @@ pub(super) fn weight_gradient(gradient: &[f32], input: &[f32], maps: Maps) -> Ve
                     [tile / SIDE / across * OUTPUTS, tile / SIDE % across * INPUTS],
                     tile % SIDE,
                 );
+                // Channels beyond the last are the last one again; nobody reads their sums.
                 let kernel = Tile {
-                    // Channels beyond the last are the last one again; nobody reads their sums.
                     gradient: std::array::from_fn(|k| gradient.plane((first[0] + k).min(outputs - 1))),
                     input: std::array::from_fn(|k| input.plane((first[1] + k).min(inputs - 1))),
                     strides: [gradient.stride, input.stride],
@@ -122,6 +122,8 @@ struct Tile<'a> {
 impl WithSimd for Tile<'_> {
     type Output = [[[f32; SIDE]; INPUTS]; OUTPUTS];
 
+    // Indices in plain loops: what takes a closure to an array is compiled apart from it, without vectors.
+    #[allow(clippy::needless_range_loop)]
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
         let [height, width] = self.size;
@@ -129,14 +131,18 @@ impl WithSimd for Tile<'_> {
         let span = vectors * S::F32_LANES;
         let mut sums = [[[simd.splat_f32s(0.0); SIDE]; INPUTS]; OUTPUTS];
         for row in 0..height {
-            let gradient: [&[S::f32s]; OUTPUTS] = std::array::from_fn(|k| {
-                let values = &self.gradient[k][row * self.strides[0]..][..span];
-                &S::as_simd_f32s(values).0[..vectors]
-            });
-            let input: [[&[S::f32s]; SIDE]; INPUTS] = std::array::from_fn(|k| {
-                let values = &self.input[k][(row + self.row) * self.strides[1]..][..self.strides[1]];
-                std::array::from_fn(|tap| &S::as_simd_f32s(&values[tap..tap + span]).0[..vectors])
-            });
+            let mut gradient: [&[S::f32s]; OUTPUTS] = [&[]; OUTPUTS];
+            for output in 0..OUTPUTS {
+                let values = &self.gradient[output][row * self.strides[0]..][..span];
+                gradient[output] = &S::as_simd_f32s(values).0[..vectors];
+            }
+            let mut input: [[&[S::f32s]; SIDE]; INPUTS] = [[&[]; SIDE]; INPUTS];
+            for channel in 0..INPUTS {
+                let values = &self.input[channel][(row + self.row) * self.strides[1]..][..span + SIDE - 1];
+                for tap in 0..SIDE {
+                    input[channel][tap] = &S::as_simd_f32s(&values[tap..tap + span]).0[..vectors];
+                }
+            }
             for vector in 0..vectors {
                 for output in 0..OUTPUTS {
                     let slope = gradient[output][vector];
@@ -149,6 +155,14 @@ impl WithSimd for Tile<'_> {
                 }
             }
         }
-        sums.map(|sums| sums.map(|sums| sums.map(|sum| simd.reduce_sum_f32s(sum))))
+        let mut totals = [[[0.0; SIDE]; INPUTS]; OUTPUTS];
+        for output in 0..OUTPUTS {
+            for channel in 0..INPUTS {
+                for tap in 0..SIDE {
+                    totals[output][channel][tap] = simd.reduce_sum_f32s(sums[output][channel][tap]);
+                }
+            }
+        }
+        totals
     }
 }
