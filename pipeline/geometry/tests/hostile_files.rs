@@ -110,6 +110,27 @@ const URDF: &str = r#"<?xml version="1.0"?><robot name="r"><link name="a"><visua
 <joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
 <joint name="k" type="prismatic"><parent link="b"/><child link="c"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/><mimic joint="j" multiplier="-1" offset="0.1"/></joint></robot>"#;
 
+/// The same file in one piece, its triangle in a chunk of its own.
+fn glb() -> Vec<u8> {
+    let positions = [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+    let corners = [0u16, 1, 2, 0];
+    let data: Vec<u8> = (positions.iter().flat_map(|value| value.to_le_bytes()))
+        .chain(corners.iter().flat_map(|corner| corner.to_le_bytes()))
+        .collect();
+    let (head, _) = GLTF.split_once("\"buffers\"").unwrap();
+    let mut json = format!("{head}\"buffers\":[{{\"byteLength\":{}}}]}}", data.len()).into_bytes();
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let mut file = b"glTF\x02\x00\x00\x00".to_vec();
+    let length = 12 + 8 + json.len() + 8 + data.len();
+    file.extend((length as u32).to_le_bytes());
+    for (kind, chunk) in [(b"JSON", json), (b"BIN\0", data)] {
+        file.extend((chunk.len() as u32).to_le_bytes());
+        file.extend(kind);
+        file.extend(chunk);
+    }
+    file
+}
+
 /// Cuts, overwrites, repeats and swaps pieces of a file.
 fn damage(mut bytes: Vec<u8>, edits: &[(u8, u16, u16, u8)]) -> Vec<u8> {
     for &(kind, at, length, value) in edits {
@@ -171,6 +192,7 @@ proptest! {
         check(parse("obj", &damage(OBJ.into(), &edits)));
         check(parse("dae", &damage(DAE.into(), &edits)));
         check(parse("gltf", &damage(GLTF.into(), &edits)));
+        check(parse("glb", &damage(glb(), &edits)));
     }
 
     #[test]
@@ -192,6 +214,17 @@ proptest! {
 }
 
 #[test]
+fn a_binary_gltf_shorter_than_its_own_head_is_refused() {
+    for length in [0, 11] {
+        let mut file = glb();
+        file[8] = length;
+        file[9..12].fill(0);
+        let message = parse("glb", &file).unwrap_err();
+        assert!(message.contains(&format!("it has {length} bytes")), "{message}");
+    }
+}
+
+#[test]
 fn the_examples_themselves_are_read() {
     for (ending, bytes) in [
         ("stl", binary_stl()),
@@ -199,6 +232,7 @@ fn the_examples_themselves_are_read() {
         ("obj", OBJ.into()),
         ("dae", DAE.into()),
         ("gltf", GLTF.into()),
+        ("glb", glb()),
     ] {
         assert!(parse(ending, &bytes).is_ok(), "{ending}: {:?}", parse(ending, &bytes));
     }

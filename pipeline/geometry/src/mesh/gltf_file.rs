@@ -12,6 +12,7 @@ const MAX_DEPTH: usize = 64;
 
 pub(super) fn parse(bytes: &[u8], external: &dyn Fn(&str) -> Parsed<Vec<u8>>) -> Parsed<Mesh> {
     let refuse = |error: gltf::Error| format!("no glTF: {error}");
+    check_container(bytes)?;
     let gltf::Gltf { document, blob } = gltf::Gltf::from_slice_without_validation(bytes).map_err(refuse)?;
     let root = document.into_json();
     check_attributes(&root)?;
@@ -33,6 +34,18 @@ pub(super) fn parse(bytes: &[u8], external: &dyn Fn(&str) -> Parsed<Vec<u8>>) ->
         reader.node(&node, DAffine3::IDENTITY, 0)?;
     }
     Ok(reader.mesh)
+}
+
+/// The `gltf` crate subtracts the head of a binary file from the length in it without a look at which is larger.
+fn check_container(bytes: &[u8]) -> Parsed<()> {
+    const HEAD: u32 = 12;
+    let length = (bytes.strip_prefix(b"glTF")).and_then(|rest| rest.get(4..8)?.try_into().ok());
+    match length.map(u32::from_le_bytes) {
+        Some(length) if length < HEAD => Err(format!(
+            "no glTF: its head says that it has {length} bytes, fewer than a head has"
+        )),
+        _ => Ok(()),
+    }
 }
 
 /// The validation of the `gltf` crate looks up position accessors before it has checked their indices.

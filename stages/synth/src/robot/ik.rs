@@ -44,11 +44,7 @@ fn within_limits(joints: &[f64; ARM_JOINTS]) -> bool {
 
 /// Flange pose and the six rows of its Jacobian (linear, then angular times [`RADIAN`]).
 fn jacobian(robot: &Robot, joints: &[f64; ARM_JOINTS]) -> (DAffine3, [[f64; ARM_JOINTS]; 6]) {
-    let state = super::RobotState {
-        joints: *joints,
-        gripper: 0.0,
-    };
-    let poses = robot.fk(&state);
+    let poses = robot.arm(joints);
     let flange = poses[super::FLANGE_LINK];
     let mut rows = [[0.0; ARM_JOINTS]; 6];
     for joint in 0..ARM_JOINTS {

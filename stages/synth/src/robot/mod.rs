@@ -6,7 +6,7 @@ mod shapes;
 
 use std::sync::Arc;
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DMat3, DVec3};
 use rogs_schemas::records::robot::RobotSpec;
 
 use crate::math::{rigid, rot_axis, rot_rpy};
@@ -80,6 +80,8 @@ pub(crate) struct Link {
     pub parent: usize,
     pub xyz: DVec3,
     pub rpy: [f64; 3],
+    /// The rotation of `rpy`.
+    pub turn: DMat3,
     pub axis: DVec3,
     pub motion: Motion,
     pub mesh: Arc<TriMesh>,
@@ -265,6 +267,7 @@ impl Robot {
                 parent,
                 xyz,
                 rpy: [roll, 0.0, 0.0],
+                turn: rot_rpy([roll, 0.0, 0.0]),
                 axis,
                 motion,
                 mesh: Arc::new(shapes::link_mesh(index)),
@@ -287,15 +290,29 @@ impl Robot {
     /// Link-to-base poses of all links.
     #[must_use]
     pub fn fk(&self, state: &RobotState) -> Vec<DAffine3> {
+        Self::poses(&self.links, state)
+    }
+
+    /// Link-to-base poses of the links up to the flange.
+    #[must_use]
+    pub(crate) fn arm(&self, joints: &[f64; ARM_JOINTS]) -> Vec<DAffine3> {
+        let state = RobotState {
+            joints: *joints,
+            gripper: 0.0,
+        };
+        Self::poses(&self.links[..=FLANGE_LINK], &state)
+    }
+
+    fn poses(links: &[Link], state: &RobotState) -> Vec<DAffine3> {
         let finger = FINGER_CLOSED * state.gripper;
-        let mut poses: Vec<DAffine3> = Vec::with_capacity(self.links.len());
-        for (index, link) in self.links.iter().enumerate() {
+        let mut poses: Vec<DAffine3> = Vec::with_capacity(links.len());
+        for (index, link) in links.iter().enumerate() {
             let angle = match link.motion {
                 Motion::Fixed => 0.0,
                 Motion::Arm(joint) => state.joints[joint],
                 Motion::Finger(multiplier) => multiplier * finger,
             };
-            let local = rigid(rot_rpy(link.rpy) * rot_axis(link.axis, angle), link.xyz);
+            let local = rigid(link.turn * rot_axis(link.axis, angle), link.xyz);
             poses.push(if index == 0 { local } else { poses[link.parent] * local });
         }
         poses
@@ -304,16 +321,7 @@ impl Robot {
     /// Flange-to-base pose only.
     #[must_use]
     pub(crate) fn flange(&self, joints: &[f64; ARM_JOINTS]) -> DAffine3 {
-        let mut pose = DAffine3::IDENTITY;
-        for link in &self.links[1..=FLANGE_LINK] {
-            let angle = if let Motion::Arm(joint) = link.motion {
-                joints[joint]
-            } else {
-                0.0
-            };
-            pose *= rigid(rot_rpy(link.rpy) * rot_axis(link.axis, angle), link.xyz);
-        }
-        pose
+        self.arm(joints)[FLANGE_LINK]
     }
 
     /// What `robot-maps` must know about this model.
