@@ -3,12 +3,12 @@
 mod support;
 
 use burn::tensor::{Device, Tensor};
-use rogs_networks::ops::Linear;
+use rogs_networks::ops::{Linear, standardise};
 use rogs_networks::parameters::{Parameters, from_host};
 use rogs_networks::stage1::adapter::{LatentAdapter, to_token_cells};
 use rogs_networks::stage1::geometry::encode_time;
 use rogs_networks::stage1::positions::{RotaryTable, head_positions, resample_positions, resampling_matrix};
-use rogs_networks::stage1::{Attention, HeadKind, Stage1, decode};
+use rogs_networks::stage1::{Attention, HeadKind, Stage1, decode, distillation};
 use support::{Golden, close, host, tiny};
 
 #[test]
@@ -391,6 +391,49 @@ fn project_latent_adapter() {
         (4 * 48 * 8 * 12, host(latent.clone())[0], host(latent.clone())[0])
     );
     assert!(to_token_cells(latent, [5, 6]).is_err());
+}
+
+/// The losses of the adapter against the same terms computed with PyTorch.
+#[test]
+fn adapter_distillation() {
+    let device = Device::flex();
+    let Some(golden) = Golden::open("latent_adapter_io") else {
+        return;
+    };
+    let number = |value: Tensor<1>| host(value)[0];
+    let item = |name: &str, index: usize| {
+        let whole = golden.tensor::<3>(name, [2, 12, 16], &device);
+        whole.narrow(0, index, 1)
+    };
+    for index in 0..2 {
+        let terms = distillation::tokens(item("tok.pred", index), item("tok.target", index));
+        for (name, value) in [
+            ("tok.mse", terms.square),
+            ("tok.distmat", terms.pairs),
+            ("tok.cos", terms.direction),
+        ] {
+            close(name, &[number(value)], &golden.values(name)[index..=index], 1e-6);
+        }
+    }
+    let taps = |name: &str| {
+        [0, 1].map(|tap| {
+            let raw = golden.tensor::<3>(&format!("feat.{name}{tap}"), [2, 12, 32], &device);
+            standardise(raw, 1e-5)
+        })
+    };
+    let feature = number(distillation::features(&taps("pred"), &taps("target")));
+    close("loss.feature", &[feature], golden.values("loss.feature"), 1e-6);
+    let depth = |name: &str| golden.tensor::<3>(name, [2, 10, 12], &device).log();
+    let depth = number(distillation::log_depth(depth("depth.pred"), depth("depth.target")));
+    close("loss.log_depth", &[depth], golden.values("loss.log_depth"), 1e-6);
+    let whole = |name: &str| golden.tensor::<3>(name, [2, 12, 16], &device);
+    let token = number(distillation::tokens(whole("tok.pred"), whole("tok.target")).square);
+    close(
+        "loss.total",
+        &[feature + depth + 0.1 * token],
+        golden.values("loss.total"),
+        2e-6,
+    );
 }
 
 #[test]

@@ -79,11 +79,25 @@ pub(crate) fn tokens(
     source: &Source<'_>,
     params: &LiftParams,
 ) -> StageResult<Tensor<3>> {
+    let cells = cells(path, network, source, params, network.parameters.device())?;
+    let adapter = LatentAdapter::new(adapter.scope("adapter"), network.config.width, network.config.heads);
+    adapter.forward(cells).map_err(stage_error)
+}
+
+/// Latents of the source views of a clip on the grid of 2 x 2 cells per token of the network. `[S, 48, 2 rows, 2 columns]`
+///
+/// # Errors
+/// When the file does not fit the clip, or its regions do not fit the token grid.
+pub(crate) fn cells(
+    path: &Path,
+    network: &Stage1,
+    source: &Source<'_>,
+    params: &LiftParams,
+    device: &Device,
+) -> StageResult<Tensor<4>> {
     let file = LatentFile::open(path, source, params)?;
-    let device = network.parameters.device();
     let (height, width) = (source.clip.height as usize, source.clip.width as usize);
     let grid = network.config.grid(height, width).map_err(stage_error)?;
-    let adapter = LatentAdapter::new(adapter.scope("adapter"), network.config.width, network.config.heads);
     let mut cells = Vec::with_capacity(source.views.len());
     let mut region: Option<(u32, Region)> = None;
     for view in &source.views {
@@ -113,7 +127,7 @@ pub(crate) fn tokens(
             ))
         })?);
     }
-    adapter.forward(Tensor::cat(cells, 0)).map_err(stage_error)
+    Ok(Tensor::cat(cells, 0))
 }
 
 impl LatentFile {

@@ -17,13 +17,14 @@ mod source;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use burn::tensor::{Device, Tensor};
 pub use lifting::MotionOptions;
 pub use model::{COMPACT_WEIGHTS, Model, load_model};
 pub use params::{CrossCamera, LiftParams, Numbers, QueryState, RobotMotion, TokenSource};
 pub use query::FieldQuery;
 use rogs_networks::Error;
 use rogs_networks::parameters::Parameters;
-use rogs_networks::stage1::Encoded;
+use rogs_networks::stage1::{Encoded, SourceFrames, Stage1};
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::record::{Record, SchemaId};
 use rogs_schemas::records::clip::{Clip, time_of_frame};
@@ -158,6 +159,23 @@ pub fn lift_clip(
         adapter: None,
     };
     lift_inputs(model, params, inputs, phase, warnings)
+}
+
+/// What the network sees of a clip, and its latents on the grid of 2 x 2 cells per token (`[S, 48, 2 rows, 2 columns]`), for
+/// the training of an adapter. Tensors lie on `device`; `inputs.adapter` is not read.
+///
+/// # Errors
+/// When the inputs do not fit each other, the network or its token grid, or there are no latents.
+pub fn latent_inputs(
+    network: &Stage1,
+    params: &LiftParams,
+    inputs: ClipInputs<'_>,
+    device: &Device,
+) -> StageResult<(SourceFrames, Tensor<4>)> {
+    let source = Source::new(inputs.clip, inputs.robot, inputs.conditioning, params)?;
+    let path = (inputs.latents).ok_or_else(|| StageError::bad_input("the clip comes without latents"))?;
+    let cells = latents::cells(path, network, &source, params, device)?;
+    Ok((source.frames(params, device).0, cells))
 }
 
 /// The same from all that a clip may come with.

@@ -1,4 +1,4 @@
-//! `rogs-train`: trains the networks of rogs on procedural clips.
+//! `rogs-train`: trains the networks of rogs.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -8,7 +8,9 @@ use clap::{Parser, Subcommand, ValueEnum};
 use rogs_networks::checkpoint::{ElementType, PROVENANCE};
 use rogs_train::checkpoint::{RunFolder, export};
 use rogs_train::run::{Course, run};
-use rogs_train::{Error, Result, Stage1Trainer, Stage1Training, Stage2Trainer, Stage2Training};
+use rogs_train::{
+    Error, LatentTrainer, LatentTraining, Result, Stage1Trainer, Stage1Training, Stage2Trainer, Stage2Training,
+};
 
 /// Trains the networks of rogs on procedural clips with exact references.
 #[derive(Parser)]
@@ -39,6 +41,17 @@ enum Command {
         #[arg(long)]
         out: PathBuf,
         /// Stops once this many updates are done; the schedule stays that of all of them.
+        #[arg(long)]
+        stop_after: Option<u64>,
+    },
+    /// Trains the latent adapter on clips of a run and their latents; the same command goes on after a stop.
+    Latent {
+        /// TOML file of settings; `lift`, `run` and `latents` must be in it.
+        settings: PathBuf,
+        /// Folder of the run.
+        #[arg(long)]
+        out: PathBuf,
+        /// Stops once this many updates are done.
         #[arg(long)]
         stop_after: Option<u64>,
     },
@@ -109,6 +122,16 @@ fn execute(command: Command) -> Result<()> {
                 "perceptual",
             );
             let mut trainer = Stage2Trainer::new(settings)?;
+            run(&mut trainer, &out, stop_after, &mut |line| eprintln!("{line}"))?;
+            println!("{}", out.join("model.safetensors").display());
+            Ok(())
+        }
+        Command::Latent {
+            settings,
+            out,
+            stop_after,
+        } => {
+            let mut trainer = LatentTrainer::new(LatentTraining::read(&settings)?)?;
             run(&mut trainer, &out, stop_after, &mut |line| eprintln!("{line}"))?;
             println!("{}", out.join("model.safetensors").display());
             Ok(())

@@ -13,7 +13,7 @@ use crate::{Error, Result};
 /// Channels of a latent.
 pub const LATENT_CHANNELS: usize = 48;
 /// Side of the patches that the adapter makes tokens of.
-const PATCH: usize = 2;
+pub const PATCH: usize = 2;
 
 /// The adapter over a scope of parameters (`adapter`).
 pub struct LatentAdapter<'a> {
@@ -36,6 +36,12 @@ impl<'a> LatentAdapter<'a> {
             heads,
             blocks,
         }
+    }
+
+    /// Number of blocks.
+    #[must_use]
+    pub fn blocks(&self) -> usize {
+        self.blocks
     }
 
     /// Tokens in place of the image encoder's, from latents already on the grid of 2 x 2 cells per token.

@@ -1,7 +1,7 @@
 //! Every parameter of a configuration: name, shape and initial values, in the order of the released checkpoint.
 
 use super::config::{HeadKind, POSE_NUMBERS, SPLAT_CHANNELS, Stage1Config};
-use super::stem;
+use super::{adapter, stem};
 use crate::parameters::ParameterSource;
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 
@@ -154,6 +154,28 @@ pub fn fk_branch(config: &Stage1Config) -> Vec<ParameterSpec> {
     list.layer("fk_branch.conv1", &[hidden, KAPPA_CHANNELS, 3, 3]);
     list.layer("fk_branch.conv2", &[hidden, hidden, 3, 3]);
     list.filled("fk_branch.conv3", &[3, hidden, 3, 3], Initial::Constant(0.0));
+    list.0
+}
+
+/// The parameters of a latent adapter for a network of this configuration (section 13).
+#[must_use]
+pub fn adapter(config: &Stage1Config, blocks: usize) -> Vec<ParameterSpec> {
+    let mut list = List::default();
+    let width = config.width;
+    list.layer(
+        "adapter.patch_embed.proj",
+        &[width, adapter::LATENT_CHANNELS, adapter::PATCH, adapter::PATCH],
+    );
+    for index in 0..blocks {
+        let block = format!("adapter.blocks.{index}");
+        list.norm(&format!("{block}.norm1"), width);
+        list.linear(&format!("{block}.attn.qkv"), [3 * width, width], true);
+        list.linear(&format!("{block}.attn.proj"), [width, width], true);
+        list.norm(&format!("{block}.norm2"), width);
+        list.linear(&format!("{block}.mlp.fc1"), [4 * width, width], true);
+        list.linear(&format!("{block}.mlp.fc2"), [width, 4 * width], true);
+    }
+    list.norm("adapter.ln", width);
     list.0
 }
 

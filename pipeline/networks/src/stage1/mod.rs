@@ -8,6 +8,7 @@ pub mod aggregator;
 pub mod block;
 pub mod config;
 pub mod decode;
+pub mod distillation;
 pub mod encoder;
 pub mod geometry;
 pub mod head;

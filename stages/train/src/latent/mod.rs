@@ -1,0 +1,320 @@
+//! Training of the latent adapter: its tokens, and what a frozen Stage 1 makes of them, are to come close to those of the
+//! RGB path (`latents.md` section 5, after the paper's appendix on the latent-token interface).
+
+mod clips;
+mod settings;
+
+use std::collections::BTreeMap;
+
+use burn::tensor::{Device, Tensor};
+use rogs_lift::latents::open_adapter;
+use rogs_lift::{ClipInputs, LiftParams, latent_inputs};
+use rogs_networks::checkpoint::{self, PROVENANCE};
+use rogs_networks::optimiser::{self, Gradients, Moments, Rule};
+use rogs_networks::parameters::{Parameters, to_host};
+use rogs_networks::stage1::adapter::LatentAdapter;
+use rogs_networks::stage1::{Encoded, HeadKind, SourceFrames, Stage1, distillation, layout, seeded};
+use rogs_random::Pcg64;
+
+pub use self::clips::LatentClip;
+use self::clips::Place;
+pub use self::settings::{LatentLosses, LatentTraining};
+use crate::checkpoint::State;
+use crate::error::{Error, Result};
+use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
+use crate::stream::Stream;
+
+/// A run between two updates.
+pub struct LatentTrainer {
+    settings: LatentTraining,
+    /// The network behind the tokens; nothing of it is trained.
+    network: Stage1,
+    adapter: Parameters,
+    moments: Moments,
+    step: u64,
+    training: Vec<Place>,
+    held_out: Vec<Place>,
+}
+
+impl LatentTrainer {
+    /// A run before its first update.
+    ///
+    /// # Errors
+    /// When settings are wrong, weights cannot be read or do not fit each other, or there is nothing to train on.
+    pub fn new(settings: LatentTraining) -> Result<Self> {
+        settings.check()?;
+        let device = Device::flex().autodiff();
+        let network = checkpoint::open_stage1(&settings.lift, &device)?.network;
+        let adapter = match &settings.start {
+            Some(path) => started(open_adapter(path, &device)?, &network)?,
+            None => from_seed(&network, &settings, &device)?,
+        };
+        let [training, held_out] = clips::find(&settings)?;
+        Ok(Self {
+            settings,
+            network,
+            adapter,
+            moments: Moments::default(),
+            step: 0,
+            training,
+            held_out,
+        })
+    }
+
+    /// The losses of a clip by name, with their weights, for an adapter on the network's device or one without gradients.
+    fn terms(&self, network: &Stage1, adapter: &Parameters, clip: &LatentClip) -> Result<Vec<Term>> {
+        let weights = &self.settings.losses;
+        let device = adapter.device();
+        let inputs = ClipInputs {
+            clip: &clip.clip,
+            robot: &clip.robot,
+            conditioning: &clip.conditioning,
+            latents: Some(&clip.latents),
+            adapter: None,
+        };
+        let (frames, cells) = latent_inputs(network, &LiftParams::default(), inputs, device)?;
+        let visual = Visual::of(&self.network, &frames, weights.needs_network())?;
+        let config = &network.config;
+        let tokens = LatentAdapter::new(adapter.scope("adapter"), config.width, config.heads).forward(cells)?;
+        let aligned = distillation::tokens(tokens.clone(), on(visual.tokens, device));
+        let mut terms = vec![
+            ("token", weights.token, aligned.square),
+            ("pairs", weights.pairs, aligned.pairs),
+            ("direction", weights.direction, aligned.direction),
+        ];
+        if let Some((encoded, log_depth)) = visual.behind {
+            let latent = network.encode_tokens(&frames, tokens)?;
+            let feature = distillation::features(&latent.taps, &encoded.taps.map(|tap| on(tap, device)));
+            let depth = distillation::log_depth(log_depth_of(network, &latent)?, on(log_depth, device));
+            terms.push(("feature", weights.feature, feature));
+            terms.push(("log_depth", weights.log_depth, depth));
+        }
+        Ok(terms)
+    }
+
+    /// Losses and gradients of a clip.
+    fn differentiate(&self, clip: &LatentClip) -> Result<(BTreeMap<String, f64>, Gradients)> {
+        let tracked = self
+            .adapter
+            .with_leaves(self.adapter.device(), |_, values| values.require_grad());
+        let mut loss: Option<Tensor<1>> = None;
+        let mut values = BTreeMap::new();
+        for (name, weight, term) in self.terms(&self.network, &tracked, clip)? {
+            values.insert(name.to_owned(), number(term.clone())?);
+            if weight > 0.0 {
+                let weighted = term * weight;
+                loss = Some(loss.map_or(weighted.clone(), |sum| sum + weighted));
+            }
+        }
+        let gradients = match &loss {
+            Some(loss) => optimiser::gradients(&tracked, loss)?,
+            None => Gradients::new(),
+        };
+        Ok((values, gradients))
+    }
+
+    /// The weighted sum of losses.
+    fn total(&self, terms: &BTreeMap<String, f64>) -> f64 {
+        let weights = &self.settings.losses;
+        [
+            ("token", weights.token),
+            ("pairs", weights.pairs),
+            ("direction", weights.direction),
+            ("feature", weights.feature),
+            ("log_depth", weights.log_depth),
+        ]
+        .iter()
+        .map(|(name, weight)| weight * terms.get(*name).copied().unwrap_or(0.0))
+        .sum()
+    }
+}
+
+/// Name, weight and value of a loss.
+type Term = (&'static str, f64, Tensor<1>);
+
+/// What the RGB path makes of a clip.
+struct Visual {
+    tokens: Tensor<3>,
+    /// What the heads read, and the logarithm of depth.
+    behind: Option<(Encoded, Tensor<3>)>,
+}
+
+impl Visual {
+    fn of(network: &Stage1, frames: &SourceFrames, behind: bool) -> Result<Self> {
+        let network = Stage1::new(network.config.clone(), network.parameters.without_gradients())?;
+        let frames = SourceFrames {
+            images: frames.images.clone().without_autodiff(),
+            cameras: frames.cameras.clone(),
+            times: frames.times.clone(),
+            attention: frames.attention.clone(),
+        };
+        let tokens = network.patch_tokens(&frames, network.local(&frames)?.as_ref())?;
+        let behind = if behind {
+            let encoded = network.encode_tokens(&frames, tokens.clone())?;
+            let log_depth = log_depth_of(&network, &encoded)?;
+            Some((encoded, log_depth))
+        } else {
+            None
+        };
+        Ok(Self { tokens, behind })
+    }
+}
+
+/// The logarithm of the depth head's depth. `[S, H, W]`
+fn log_depth_of(network: &Stage1, encoded: &Encoded) -> Result<Tensor<3>> {
+    let head = network.head(HeadKind::Depth)?;
+    let output = head.forward(&head.projections(None), encoded);
+    Ok(output.narrow(1, 0, 1).squeeze_dim(1))
+}
+
+/// A tensor on a device that records gradients, or stays on one that does not.
+fn on<const D: usize>(tensor: Tensor<D>, device: &Device) -> Tensor<D> {
+    tensor.to_device(device)
+}
+
+fn number(value: Tensor<1>) -> Result<f64> {
+    Ok(to_host(value)?.first().copied().map_or(f64::NAN, f64::from))
+}
+
+/// An adapter to go on from, after a look whether it fits the network.
+fn started(adapter: Parameters, network: &Stage1) -> Result<Parameters> {
+    let blocks = LatentAdapter::new(adapter.scope("adapter"), network.config.width, network.config.heads).blocks();
+    for spec in layout::adapter(&network.config, blocks) {
+        if adapter.shape(&spec.name) != Some(&spec.shape) {
+            return Err(Error::Setting {
+                what: "start",
+                value: format!("an adapter whose `{}` is {:?}", spec.name, adapter.shape(&spec.name)),
+                rule: "an adapter for the network of `lift`",
+            });
+        }
+    }
+    Ok(adapter)
+}
+
+fn from_seed(network: &Stage1, settings: &LatentTraining, device: &Device) -> Result<Parameters> {
+    let mut adapter = Parameters::new(device);
+    for spec in layout::adapter(&network.config, settings.blocks) {
+        let values = seeded::values(&spec, &network.config, settings.seed);
+        adapter.insert(&spec.name, &spec.shape, values)?;
+    }
+    Ok(adapter)
+}
+
+impl Course for LatentTrainer {
+    type Settings = LatentTraining;
+    type Batch = Vec<LatentClip>;
+
+    const TITLE: &'static str = "Training of the latent adapter";
+    const PICTURE: &'static str = "";
+
+    fn settings(&self) -> &LatentTraining {
+        &self.settings
+    }
+
+    fn rhythm(&self) -> Rhythm {
+        self.settings.rhythm()
+    }
+
+    fn state(&mut self) -> State<'_> {
+        State {
+            parameters: &mut self.adapter,
+            moments: &mut self.moments,
+            step: &mut self.step,
+        }
+    }
+
+    fn parameters(&self) -> &Parameters {
+        &self.adapter
+    }
+
+    fn moments(&self) -> &Moments {
+        &self.moments
+    }
+
+    fn step(&self) -> u64 {
+        self.step
+    }
+
+    fn stream(&self) -> Result<Stream<Vec<LatentClip>>> {
+        let (settings, places) = (self.settings.clone(), self.training.clone());
+        Ok(Stream::start(self.step..settings.steps, move |step| {
+            let mut random = Pcg64::from_seeds(&[settings.seed, 2, step]);
+            let draw = |_| {
+                let index = (random.next_double() * places.len() as f64) as usize;
+                places[index.min(places.len() - 1)].read()
+            };
+            (0..settings.clips_per_step).map(draw).collect()
+        }))
+    }
+
+    fn update(&mut self, batch: &Vec<LatentClip>) -> Result<UpdateReport> {
+        let share = 1.0 / batch.len().max(1) as f64;
+        let mut terms: BTreeMap<String, f64> = BTreeMap::new();
+        let mut sum = Gradients::new();
+        for clip in batch {
+            let (of_clip, gradients) = self.differentiate(clip)?;
+            if let Some((name, _)) = of_clip.iter().find(|(_, value)| !value.is_finite()) {
+                return Err(Error::Diverged {
+                    step: self.step,
+                    what: format!("the loss `{name}` of clip `{}`", clip.clip.clip_id),
+                });
+            }
+            for (name, value) in of_clip {
+                *terms.entry(name).or_insert(0.0) += share * value;
+            }
+            for (name, gradient) in gradients {
+                let total = sum.entry(name).or_insert_with(|| vec![0.0; gradient.len()]);
+                for (total, value) in total.iter_mut().zip(gradient) {
+                    *total += share as f32 * value;
+                }
+            }
+        }
+        let settings = &self.settings;
+        let rule = Rule {
+            rate: &|_| Some(settings.rate),
+            share: ((self.step + 1) as f64 / settings.warmup.max(1) as f64).min(1.0),
+            betas: settings.betas,
+            weight_decay: &|shape| if shape.len() > 1 { settings.weight_decay } else { 0.0 },
+            clip: settings.clip,
+        };
+        let gradient_norm = optimiser::update(&mut self.adapter, &mut self.moments, &sum, &rule, self.step)?;
+        if !gradient_norm.is_finite() {
+            return Err(Error::Diverged {
+                step: self.step,
+                what: "the norm of the gradients".into(),
+            });
+        }
+        let report = UpdateReport {
+            step: self.step,
+            loss: self.total(&terms),
+            terms,
+            gradient_norm,
+            images: batch.iter().map(|clip| clip.clip.source_views().len()).sum(),
+        };
+        self.step += 1;
+        Ok(report)
+    }
+
+    /// The losses of the held-out clips, all of them, whatever their weights.
+    fn evaluate(&self) -> Result<Evaluation> {
+        let mut evaluation = Evaluation::default();
+        let network = Stage1::new(self.network.config.clone(), self.network.parameters.without_gradients())?;
+        let adapter = self.adapter.without_gradients();
+        for place in &self.held_out {
+            for (name, _, value) in self.terms(&network, &adapter, &place.read()?)? {
+                *evaluation.scores.entry(name.to_owned()).or_insert(0.0) += number(value)? / self.held_out.len() as f64;
+            }
+        }
+        Ok(evaluation)
+    }
+
+    fn metadata(&self, time: &str) -> BTreeMap<String, String> {
+        let provenance = format!(
+            "latent adapter for a Stage 1 `{}`, trained by rogs-train, {} updates on {} clips{time}",
+            self.network.config.name,
+            self.step,
+            self.training.len()
+        );
+        BTreeMap::from([(PROVENANCE.to_owned(), provenance)])
+    }
+}
