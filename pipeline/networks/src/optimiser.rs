@@ -85,6 +85,16 @@ pub fn collect(leaves: &Parameters, graph: &mut burn::tensor::Gradients, by_name
     Ok(())
 }
 
+/// Adds a share of the gradients of one clip to those of an update.
+pub fn add(sum: &mut Gradients, share: f64, gradients: Gradients) {
+    for (name, gradient) in gradients {
+        let total = sum.entry(name).or_insert_with(|| vec![0.0; gradient.len()]);
+        for (total, value) in total.iter_mut().zip(gradient) {
+            *total += share as f32 * value;
+        }
+    }
+}
+
 /// Moves the parameters by update `step` (counted from 0); returns the norm of the gradients before clipping. When that is
 /// not finite, nothing is moved.
 ///

@@ -99,8 +99,6 @@ impl PackedWeight {
                 .enumerate()
                 .for_each(|(panel, out)| {
                     let lanes = COLUMNS.min(outputs - panel * COLUMNS);
-                    let at =
-                        |lane: usize, input: usize| weight[(panel * COLUMNS + lane) * strides[0] + input * strides[1]];
                     // Some units at a time, so that both sides are read and written in whole cache lines.
                     for (part, out) in out.chunks_mut(16 * COLUMNS).enumerate() {
                         let first = first + 16 * part;
@@ -120,6 +118,9 @@ impl PackedWeight {
                                 }
                             }
                             Precision::Bf16 => {
+                                let at = |lane: usize, input: usize| {
+                                    weight[(panel * COLUMNS + lane) * strides[0] + input * strides[1]]
+                                };
                                 for lane in 0..lanes {
                                     for (unit, out) in out.iter_mut().skip(lane).step_by(COLUMNS).enumerate() {
                                         let input = (first + unit) * numbers;

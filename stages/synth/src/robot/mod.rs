@@ -80,7 +80,7 @@ pub(crate) struct Link {
     pub parent: usize,
     pub xyz: DVec3,
     pub rpy: [f64; 3],
-    /// The rotation of `rpy`.
+    /// The rotation of `rpy`, from the joint's frame at zero to the parent link's.
     pub turn: DMat3,
     pub axis: DVec3,
     pub motion: Motion,
@@ -303,6 +303,7 @@ impl Robot {
         Self::poses(&self.links[..=FLANGE_LINK], &state)
     }
 
+    /// Link-to-base poses of the first links.
     fn poses(links: &[Link], state: &RobotState) -> Vec<DAffine3> {
         let finger = FINGER_CLOSED * state.gripper;
         let mut poses: Vec<DAffine3> = Vec::with_capacity(links.len());

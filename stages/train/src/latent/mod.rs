@@ -27,8 +27,10 @@ use crate::stream::Stream;
 /// A run between two updates.
 pub struct LatentTrainer {
     settings: LatentTraining,
-    /// The network behind the tokens; nothing of it is trained.
+    /// The network behind the tokens, for gradients to pass through; nothing of it is trained.
     network: Stage1,
+    /// The same without gradients: the RGB path, and what scores.
+    plain: Stage1,
     adapter: Parameters,
     moments: Moments,
     step: u64,
@@ -49,10 +51,12 @@ impl LatentTrainer {
             Some(path) => started(open_adapter(path, &device)?, &network)?,
             None => from_seed(&network, &settings, &device)?,
         };
+        let plain = Stage1::new(network.config.clone(), network.parameters.without_gradients())?;
         let [training, held_out] = clips::find(&settings)?;
         Ok(Self {
             settings,
             network,
+            plain,
             adapter,
             moments: Moments::default(),
             step: 0,
@@ -73,10 +77,10 @@ impl LatentTrainer {
             adapter: None,
         };
         let (frames, cells) = latent_inputs(network, &LiftParams::default(), inputs, device)?;
-        let visual = Visual::of(&self.network, &frames, weights.needs_network())?;
+        let visual = Visual::of(&self.plain, &frames, weights.needs_network())?;
         let config = &network.config;
         let tokens = LatentAdapter::new(adapter.scope("adapter"), config.width, config.heads).forward(cells)?;
-        let aligned = distillation::tokens(tokens.clone(), on(visual.tokens, device));
+        let aligned = distillation::tokens(tokens.clone(), visual.tokens.to_device(device));
         let mut terms = vec![
             ("token", weights.token, aligned.square),
             ("pairs", weights.pairs, aligned.pairs),
@@ -84,8 +88,8 @@ impl LatentTrainer {
         ];
         if let Some((encoded, log_depth)) = visual.behind {
             let latent = network.encode_tokens(&frames, tokens)?;
-            let feature = distillation::features(&latent.taps, &encoded.taps.map(|tap| on(tap, device)));
-            let depth = distillation::log_depth(log_depth_of(network, &latent)?, on(log_depth, device));
+            let feature = distillation::features(&latent.taps, &encoded.taps.map(|tap| tap.to_device(device)));
+            let depth = distillation::log_depth(log_depth_of(network, &latent)?, log_depth.to_device(device));
             terms.push(("feature", weights.feature, feature));
             terms.push(("log_depth", weights.log_depth, depth));
         }
@@ -93,14 +97,16 @@ impl LatentTrainer {
     }
 
     /// Losses and gradients of a clip.
-    fn differentiate(&self, clip: &LatentClip) -> Result<(BTreeMap<String, f64>, Gradients)> {
+    fn differentiate(&self, clip: &LatentClip) -> Result<ClipResult> {
         let tracked = self
             .adapter
             .with_leaves(self.adapter.device(), |_, values| values.require_grad());
         let mut loss: Option<Tensor<1>> = None;
-        let mut values = BTreeMap::new();
+        let (mut value, mut terms) = (0.0, BTreeMap::new());
         for (name, weight, term) in self.terms(&self.network, &tracked, clip)? {
-            values.insert(name.to_owned(), number(term.clone())?);
+            let unweighted = number(term.clone())?;
+            value += weight * unweighted;
+            terms.insert(name, unweighted);
             if weight > 0.0 {
                 let weighted = term * weight;
                 loss = Some(loss.map_or(weighted.clone(), |sum| sum + weighted));
@@ -110,23 +116,19 @@ impl LatentTrainer {
             Some(loss) => optimiser::gradients(&tracked, loss)?,
             None => Gradients::new(),
         };
-        Ok((values, gradients))
+        Ok(ClipResult {
+            value,
+            terms,
+            gradients,
+        })
     }
+}
 
-    /// The weighted sum of losses.
-    fn total(&self, terms: &BTreeMap<String, f64>) -> f64 {
-        let weights = &self.settings.losses;
-        [
-            ("token", weights.token),
-            ("pairs", weights.pairs),
-            ("direction", weights.direction),
-            ("feature", weights.feature),
-            ("log_depth", weights.log_depth),
-        ]
-        .iter()
-        .map(|(name, weight)| weight * terms.get(*name).copied().unwrap_or(0.0))
-        .sum()
-    }
+/// What a clip adds to an update.
+struct ClipResult {
+    value: f64,
+    terms: BTreeMap<&'static str, f64>,
+    gradients: Gradients,
 }
 
 /// Name, weight and value of a loss.
@@ -141,7 +143,6 @@ struct Visual {
 
 impl Visual {
     fn of(network: &Stage1, frames: &SourceFrames, behind: bool) -> Result<Self> {
-        let network = Stage1::new(network.config.clone(), network.parameters.without_gradients())?;
         let frames = SourceFrames {
             images: frames.images.clone().without_autodiff(),
             cameras: frames.cameras.clone(),
@@ -151,7 +152,7 @@ impl Visual {
         let tokens = network.patch_tokens(&frames, network.local(&frames)?.as_ref())?;
         let behind = if behind {
             let encoded = network.encode_tokens(&frames, tokens.clone())?;
-            let log_depth = log_depth_of(&network, &encoded)?;
+            let log_depth = log_depth_of(network, &encoded)?;
             Some((encoded, log_depth))
         } else {
             None
@@ -165,11 +166,6 @@ fn log_depth_of(network: &Stage1, encoded: &Encoded) -> Result<Tensor<3>> {
     let head = network.head(HeadKind::Depth)?;
     let output = head.forward(&head.projections(None), encoded);
     Ok(output.narrow(1, 0, 1).squeeze_dim(1))
-}
-
-/// A tensor on a device that records gradients, or stays on one that does not.
-fn on<const D: usize>(tensor: Tensor<D>, device: &Device) -> Tensor<D> {
-    tensor.to_device(device)
 }
 
 fn number(value: Tensor<1>) -> Result<f64> {
@@ -249,25 +245,25 @@ impl Course for LatentTrainer {
 
     fn update(&mut self, batch: &Vec<LatentClip>) -> Result<UpdateReport> {
         let share = 1.0 / batch.len().max(1) as f64;
-        let mut terms: BTreeMap<String, f64> = BTreeMap::new();
+        let (mut loss, mut terms) = (0.0, BTreeMap::new());
         let mut sum = Gradients::new();
         for clip in batch {
-            let (of_clip, gradients) = self.differentiate(clip)?;
+            let ClipResult {
+                value,
+                terms: of_clip,
+                gradients,
+            } = self.differentiate(clip)?;
             if let Some((name, _)) = of_clip.iter().find(|(_, value)| !value.is_finite()) {
                 return Err(Error::Diverged {
                     step: self.step,
                     what: format!("the loss `{name}` of clip `{}`", clip.clip.clip_id),
                 });
             }
+            loss += share * value;
             for (name, value) in of_clip {
-                *terms.entry(name).or_insert(0.0) += share * value;
+                *terms.entry(name.to_owned()).or_insert(0.0) += share * value;
             }
-            for (name, gradient) in gradients {
-                let total = sum.entry(name).or_insert_with(|| vec![0.0; gradient.len()]);
-                for (total, value) in total.iter_mut().zip(gradient) {
-                    *total += share as f32 * value;
-                }
-            }
+            optimiser::add(&mut sum, share, gradients);
         }
         let settings = &self.settings;
         let rule = Rule {
@@ -286,7 +282,7 @@ impl Course for LatentTrainer {
         }
         let report = UpdateReport {
             step: self.step,
-            loss: self.total(&terms),
+            loss,
             terms,
             gradient_norm,
             images: batch.iter().map(|clip| clip.clip.source_views().len()).sum(),
@@ -298,10 +294,9 @@ impl Course for LatentTrainer {
     /// The losses of the held-out clips, all of them, whatever their weights.
     fn evaluate(&self) -> Result<Evaluation> {
         let mut evaluation = Evaluation::default();
-        let network = Stage1::new(self.network.config.clone(), self.network.parameters.without_gradients())?;
         let adapter = self.adapter.without_gradients();
         for place in &self.held_out {
-            for (name, _, value) in self.terms(&network, &adapter, &place.read()?)? {
+            for (name, _, value) in self.terms(&self.plain, &adapter, &place.read()?)? {
                 *evaluation.scores.entry(name.to_owned()).or_insert(0.0) += number(value)? / self.held_out.len() as f64;
             }
         }

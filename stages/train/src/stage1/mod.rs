@@ -193,12 +193,7 @@ impl Course for Stage1Trainer {
             for (key, value) in of_clip {
                 *terms.entry(key.to_owned()).or_insert(0.0) += share * value;
             }
-            for (name, gradient) in gradients {
-                let total = sum.entry(name).or_insert_with(|| vec![0.0; gradient.len()]);
-                for (total, value) in total.iter_mut().zip(gradient) {
-                    *total += share as f32 * value;
-                }
-            }
+            optimiser::add(&mut sum, share, gradients);
         }
         let optimiser = &self.settings.optimiser;
         let rule = Rule {
