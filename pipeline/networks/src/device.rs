@@ -29,6 +29,12 @@ pub fn open(name: &str) -> Result<Device> {
     if name == "gpu" { graphics() } else { Ok(Device::flex()) }
 }
 
+/// The name of a device, as [`open`] takes it.
+#[must_use]
+pub fn name(device: &Device) -> &'static str {
+    if is_cpu(device) { "cpu" } else { "gpu" }
+}
+
 /// Whether tensors of a device are those of the processor, recording gradients or not.
 #[must_use]
 pub fn is_cpu(device: &Device) -> bool {
@@ -58,6 +64,7 @@ mod tests {
     fn names_are_told() {
         assert!(is_cpu(&open("cpu").unwrap()));
         assert!(is_cpu(&Device::flex().autodiff()));
+        assert_eq!(name(&Device::flex().autodiff()), "cpu");
         let error = open("tpu").unwrap_err().to_string();
         assert!(error.contains("`cpu` or `gpu`, not `tpu`"), "{error}");
         if cfg!(not(feature = "gpu")) {

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor, TensorData};
 
+use crate::kernels::Precision;
 use crate::{Error, Result};
 
 /// Where the values of parameters come from when they are not held in memory.
@@ -34,6 +35,7 @@ pub struct Parameters {
     device: Device,
     memory: BTreeMap<String, Parameter>,
     source: Option<Arc<dyn ParameterSource>>,
+    products: Precision,
 }
 
 impl Parameters {
@@ -44,6 +46,7 @@ impl Parameters {
             device: device.clone(),
             memory: BTreeMap::new(),
             source: None,
+            products: Precision::F32,
         }
     }
 
@@ -54,6 +57,7 @@ impl Parameters {
             device: device.clone(),
             memory: BTreeMap::new(),
             source: Some(Arc::from(source)),
+            products: Precision::F32,
         }
     }
 
@@ -61,6 +65,18 @@ impl Parameters {
     #[must_use]
     pub fn device(&self) -> &Device {
         &self.device
+    }
+
+    /// Chooses numbers that the products of linear layers and 3x3 convolutions are made of, forwards and backwards, while
+    /// gradients are recorded on the CPU. Sums, and everything else, stay f32.
+    pub fn set_products(&mut self, products: Precision) {
+        self.products = products;
+    }
+
+    /// Numbers that products are made of while gradients are recorded.
+    #[must_use]
+    pub fn products(&self) -> Precision {
+        self.products
     }
 
     /// Adds or replaces a parameter.
@@ -108,6 +124,7 @@ impl Parameters {
             device: device.clone(),
             memory: leaves.collect(),
             source: self.source.clone(),
+            products: self.products,
         }
     }
 
@@ -232,6 +249,12 @@ impl<'a> Scope<'a> {
     #[must_use]
     pub fn device(&self) -> &'a Device {
         self.parameters.device()
+    }
+
+    /// As [`Parameters::products`].
+    #[must_use]
+    pub fn products(&self) -> Precision {
+        self.parameters.products()
     }
 
     fn full(&self, name: &str) -> String {

@@ -3,6 +3,9 @@
 
 use std::path::{Path, PathBuf};
 
+use burn::tensor::Device;
+use rogs_lift::Numbers;
+use rogs_networks::device;
 use rogs_networks::stage1::Stage1Config;
 use serde::{Deserialize, Serialize};
 
@@ -34,6 +37,9 @@ pub struct Stage1Training {
     /// Runs the aggregator twice, the second time a pair at a time, instead of keeping what all pairs compute: less memory,
     /// more time.
     pub gradient_checkpointing: bool,
+    /// Numbers of the products of linear layers and 3x3 convolutions, forwards and backwards: `f32`, or `bf16` with sums in
+    /// f32. Parameters, moments and everything else stay f32. `bf16` is for the CPU.
+    pub precision: Numbers,
     /// Where clips come from.
     pub data: DataSettings,
     /// What is trained, and how fast.
@@ -105,6 +111,9 @@ pub struct LossWeights {
     pub depth_head: f64,
     /// Absolute log-depth error at the depth head.
     pub stereo: f64,
+    /// The same over robot pixels only. Not in the paper, whose robot depth is the mesh's: it teaches the network the depth
+    /// that the ablation without anchoring asks for.
+    pub stereo_robot: f64,
     /// Motion at track pixels.
     pub track_head: f64,
     /// Composited displacement at track pixels.
@@ -136,6 +145,7 @@ impl Default for Stage1Training {
             evaluate_every: 200,
             evaluation_clips: 8,
             gradient_checkpointing: false,
+            precision: Numbers::F32,
             data: DataSettings::default(),
             optimiser: OptimiserSettings::default(),
             losses: LossWeights::default(),
@@ -183,6 +193,7 @@ impl Default for LossWeights {
             movies_lpips: 0.5,
             depth_head: 1.0,
             stereo: 1.04051,
+            stereo_robot: 0.0,
             track_head: 10.0,
             track_final: 0.105_593,
             fk_head: 0.464_340,
@@ -219,12 +230,13 @@ impl LossWeights {
         self.metric_final > 0.0 || self.metric_right > 0.0
     }
 
-    fn all(&self) -> [f64; 12] {
+    fn all(&self) -> [f64; 13] {
         [
             self.movies_mse,
             self.movies_lpips,
             self.depth_head,
             self.stereo,
+            self.stereo_robot,
             self.track_head,
             self.track_final,
             self.fk_head,
@@ -351,6 +363,18 @@ impl DataSettings {
         }
         Ok(())
     }
+}
+
+/// Refuses numbers that the kernels of a device do not have.
+pub(crate) fn check_precision(precision: Numbers, device: &Device) -> Result<()> {
+    if precision != Numbers::F32 && !device::is_cpu(device) {
+        return Err(Error::Setting {
+            what: "precision",
+            value: "bf16".into(),
+            rule: "`f32` with `--device gpu`",
+        });
+    }
+    Ok(())
 }
 
 /// A path that still holds when the settings lie in a run's folder.

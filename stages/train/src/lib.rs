@@ -17,6 +17,7 @@ pub mod records;
 mod report;
 pub mod run;
 pub mod sample;
+mod segments;
 pub mod stage1;
 pub mod stage2;
 pub mod stream;

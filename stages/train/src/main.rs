@@ -4,8 +4,9 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use burn::tensor::Device;
-use clap::{Parser, Subcommand, ValueEnum};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 use rogs_networks::checkpoint::{ElementType, PROVENANCE};
+use rogs_networks::device;
 use rogs_train::checkpoint::{RunFolder, export};
 use rogs_train::run::{Course, run};
 use rogs_train::{
@@ -26,34 +27,22 @@ enum Command {
     Stage1 {
         /// TOML file of settings; without one, the paper's schedule for the compact network.
         settings: Option<PathBuf>,
-        /// Folder of the run.
-        #[arg(long)]
-        out: PathBuf,
-        /// Stops once this many updates are done; the schedule stays that of all of them.
-        #[arg(long)]
-        stop_after: Option<u64>,
+        #[command(flatten)]
+        course: CourseArguments,
     },
     /// Trains Stage 2, the refiner, on fields of a trained Stage 1; the same command goes on after a stop.
     Stage2 {
         /// TOML file of settings; `lift` names the weights of Stage 1.
         settings: PathBuf,
-        /// Folder of the run.
-        #[arg(long)]
-        out: PathBuf,
-        /// Stops once this many updates are done; the schedule stays that of all of them.
-        #[arg(long)]
-        stop_after: Option<u64>,
+        #[command(flatten)]
+        course: CourseArguments,
     },
     /// Trains the latent adapter on clips of a run and their latents; the same command goes on after a stop.
     Latent {
         /// TOML file of settings; `lift`, `run` and `latents` must be in it.
         settings: PathBuf,
-        /// Folder of the run.
-        #[arg(long)]
-        out: PathBuf,
-        /// Stops once this many updates are done.
-        #[arg(long)]
-        stop_after: Option<u64>,
+        #[command(flatten)]
+        course: CourseArguments,
     },
     /// Writes the Stage-1 network of a run as a weights file for `rogs`.
     Export {
@@ -71,6 +60,34 @@ enum Command {
     },
     /// Prints all settings with their defaults as TOML.
     Settings,
+}
+
+/// What every kind of training is told.
+#[derive(Args)]
+struct CourseArguments {
+    /// Folder of the run.
+    #[arg(long)]
+    out: PathBuf,
+    /// Stops once this many updates are done; the schedule stays that of all of them.
+    #[arg(long)]
+    stop_after: Option<u64>,
+    /// Where networks run: `cpu`, or `gpu` where this program was built with the feature `gpu`. A run may go on elsewhere; its
+    /// updates then differ by rounding.
+    #[arg(long, default_value = "cpu")]
+    device: String,
+}
+
+impl CourseArguments {
+    fn device(&self) -> Result<Device> {
+        Ok(device::open(&self.device)?)
+    }
+
+    /// Runs a course and says where its network lies.
+    fn run(&self, course: &mut impl Course) -> Result<()> {
+        run(course, &self.out, self.stop_after, &mut |line| eprintln!("{line}"))?;
+        println!("{}", self.out.join("model.safetensors").display());
+        Ok(())
+    }
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -92,49 +109,28 @@ fn main() -> ExitCode {
 
 fn execute(command: Command) -> Result<()> {
     match command {
-        Command::Stage1 {
-            settings,
-            out,
-            stop_after,
-        } => {
+        Command::Stage1 { settings, course } => {
             let settings = match settings {
                 Some(path) => Stage1Training::read(&path)?,
                 None => Stage1Training::default(),
             };
-            let mut trainer = Stage1Trainer::new(settings, &Device::flex())?;
-            let losses = &trainer.settings.losses;
             left_out(
-                trainer.settings.lpips.is_none() && losses.movies_lpips > 0.0,
+                settings.lpips.is_none() && settings.losses.movies_lpips > 0.0,
                 "movies_lpips",
             );
-            run(&mut trainer, &out, stop_after, &mut |line| eprintln!("{line}"))?;
-            println!("{}", out.join("model.safetensors").display());
-            Ok(())
+            course.run(&mut Stage1Trainer::new(settings, &course.device()?)?)
         }
-        Command::Stage2 {
-            settings,
-            out,
-            stop_after,
-        } => {
+        Command::Stage2 { settings, course } => {
             let settings = Stage2Training::read(&settings)?;
             left_out(
                 settings.lpips.is_none() && settings.losses.perceptual > 0.0,
                 "perceptual",
             );
-            let mut trainer = Stage2Trainer::new(settings)?;
-            run(&mut trainer, &out, stop_after, &mut |line| eprintln!("{line}"))?;
-            println!("{}", out.join("model.safetensors").display());
-            Ok(())
+            course.run(&mut Stage2Trainer::new(settings, &course.device()?)?)
         }
-        Command::Latent {
-            settings,
-            out,
-            stop_after,
-        } => {
-            let mut trainer = LatentTrainer::new(LatentTraining::read(&settings)?)?;
-            run(&mut trainer, &out, stop_after, &mut |line| eprintln!("{line}"))?;
-            println!("{}", out.join("model.safetensors").display());
-            Ok(())
+        Command::Latent { settings, course } => {
+            let settings = LatentTraining::read(&settings)?;
+            course.run(&mut LatentTrainer::new(settings, &course.device()?)?)
         }
         Command::Export {
             folder,

@@ -156,11 +156,11 @@ fn a_resumed_run_equals_an_uninterrupted_one_and_its_adapter_lifts() {
         ..workspace(root.path())
     };
     let (whole, parts) = (root.path().join("whole"), root.path().join("parts"));
-    let mut trainer = LatentTrainer::new(settings.clone()).unwrap();
+    let mut trainer = LatentTrainer::new(settings.clone(), &Device::flex()).unwrap();
     run(&mut trainer, &whole, None, &mut |_| {}).unwrap();
     falls(&whole, &["feature", "log_depth"]);
     for stop in [6, 12] {
-        let mut trainer = LatentTrainer::new(settings.clone()).unwrap();
+        let mut trainer = LatentTrainer::new(settings.clone(), &Device::flex()).unwrap();
         run(&mut trainer, &parts, Some(stop), &mut |_| {}).unwrap();
     }
     let bytes = |folder: &Path, name: &str| std::fs::read(folder.join(name)).unwrap();
@@ -187,6 +187,40 @@ fn a_resumed_run_equals_an_uninterrupted_one_and_its_adapter_lifts() {
     assert!(field.position_m.iter().all(|value| value.is_finite()));
 }
 
+/// Gradients in segments are those of the whole, to rounding.
+#[test]
+fn gradient_checkpointing_changes_no_gradient() {
+    let root = tempfile::tempdir().unwrap();
+    let settings = workspace(root.path());
+    let update = |gradient_checkpointing: bool| {
+        let settings = LatentTraining {
+            gradient_checkpointing,
+            ..settings.clone()
+        };
+        let mut trainer = LatentTrainer::new(settings, &Device::flex()).unwrap();
+        let batch = trainer.stream().unwrap().next_item().unwrap().unwrap();
+        let report = trainer.update(&batch).unwrap();
+        (report, trainer.moments().by_name.clone())
+    };
+    let ((whole, whole_moments), (parts, parts_moments)) = (update(false), update(true));
+    assert_eq!(
+        whole.terms.keys().collect::<Vec<_>>(),
+        parts.terms.keys().collect::<Vec<_>>()
+    );
+    assert!((whole.loss - parts.loss).abs() < 1e-5 * whole.loss);
+    let (mut square, mut difference) = (0.0, 0.0);
+    for (name, [first, _]) in &whole_moments {
+        for (a, b) in first.iter().zip(&parts_moments[name][0]) {
+            square += f64::from(*a).powi(2);
+            difference += f64::from(a - b).powi(2);
+        }
+    }
+    assert!(
+        square > 0.0 && difference.sqrt() < 1e-3 * square.sqrt(),
+        "{difference} {square}"
+    );
+}
+
 #[test]
 fn tokens_alone_are_aligned_without_the_network_behind_them_and_training_goes_on_from_there() {
     let root = tempfile::tempdir().unwrap();
@@ -196,7 +230,7 @@ fn tokens_alone_are_aligned_without_the_network_behind_them_and_training_goes_on
         ..workspace(root.path())
     };
     let out = root.path().join("first");
-    let mut trainer = LatentTrainer::new(first.clone()).unwrap();
+    let mut trainer = LatentTrainer::new(first.clone(), &Device::flex()).unwrap();
     let scores = trainer.evaluate().unwrap().scores;
     assert_eq!(
         scores.keys().collect::<Vec<_>>(),
@@ -210,7 +244,7 @@ fn tokens_alone_are_aligned_without_the_network_behind_them_and_training_goes_on
         start: Some(out.join("model.safetensors")),
         ..first
     };
-    let trainer = LatentTrainer::new(second).unwrap();
+    let trainer = LatentTrainer::new(second, &Device::flex()).unwrap();
     assert!((trainer.evaluate().unwrap().scores["token"] - end).abs() < 1e-6);
 }
 
@@ -218,7 +252,7 @@ fn tokens_alone_are_aligned_without_the_network_behind_them_and_training_goes_on
 fn what_is_missing_or_does_not_fit_is_named() {
     let root = tempfile::tempdir().unwrap();
     let settings = workspace(root.path());
-    let refused = |settings: LatentTraining| LatentTrainer::new(settings).err().unwrap().to_string();
+    let refused = |settings: LatentTraining| LatentTrainer::new(settings, &Device::flex()).err().unwrap().to_string();
     let none = refused(LatentTraining {
         evaluation_clips: 3,
         ..settings.clone()
@@ -236,11 +270,14 @@ fn what_is_missing_or_does_not_fit_is_named() {
         settings.latents.join("b.safetensors"),
     )
     .unwrap();
-    let mut trainer = LatentTrainer::new(LatentTraining {
-        steps: 16,
-        evaluation_clips: 0,
-        ..settings
-    })
+    let mut trainer = LatentTrainer::new(
+        LatentTraining {
+            steps: 16,
+            evaluation_clips: 0,
+            ..settings
+        },
+        &Device::flex(),
+    )
     .unwrap();
     let error = run(&mut trainer, &root.path().join("out"), None, &mut |_| {}).unwrap_err();
     assert!(error.to_string().contains("b.safetensors"), "{error}");

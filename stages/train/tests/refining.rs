@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use burn::tensor::Device;
 use rogs_train::config::DataSettings;
 use rogs_train::run::{Course, run};
 use rogs_train::{Stage2Trainer, Stage2Training};
@@ -36,7 +37,7 @@ fn a_resumed_run_equals_an_uninterrupted_one_and_changes_only_what_is_trained() 
     let folder = tempfile::tempdir().unwrap();
     let settings = tiny(folder.path());
     let (whole, parts) = (folder.path().join("whole"), folder.path().join("parts"));
-    let mut trainer = Stage2Trainer::new(settings.clone()).unwrap();
+    let mut trainer = Stage2Trainer::new(settings.clone(), &Device::flex()).unwrap();
     let encoder = "encoder.update_obs_proj.weight";
     let frozen: Vec<String> = (trainer.parameters().names().into_iter())
         .filter(|name| !rogs_networks::stage2::weights::is_trained(name))
@@ -56,7 +57,7 @@ fn a_resumed_run_equals_an_uninterrupted_one_and_changes_only_what_is_trained() 
     }
     assert!(trainer.parameters().host(encoder).unwrap() != projection);
     for stop in [2, 4] {
-        let mut trainer = Stage2Trainer::new(settings.clone()).unwrap();
+        let mut trainer = Stage2Trainer::new(settings.clone(), &Device::flex()).unwrap();
         run(&mut trainer, &parts, Some(stop), &mut |_| {}).unwrap();
     }
     let bytes = |folder: &Path, name: &str| std::fs::read(folder.join(name)).unwrap();

@@ -13,8 +13,9 @@ pub(super) fn pair(first: f32, second: f32) -> u32 {
     rounded(first) | rounded(second) << 16
 }
 
+/// The bits of a number rounded to bfloat16.
 #[inline(always)]
-fn rounded(value: f32) -> u32 {
+pub(super) fn rounded(value: f32) -> u32 {
     let bits = value.to_bits();
     // A NaN stays one; only its bits can wrap here.
     let nearest = bits.wrapping_add(0x7fff + ((bits >> 16) & 1)) >> 16;
@@ -37,10 +38,62 @@ pub(super) fn pack(row: &[f32], out: &mut [u32]) {
     );
 }
 
+/// Rounds two rows that are one behind the other, place by place.
+pub(super) fn pack_two(first: &[f32], second: &[f32], out: &mut [u32]) {
+    vectorised(
+        #[inline(always)]
+        || {
+            for ((out, a), b) in out.iter_mut().zip(first).zip(second) {
+                *out = pair(*a, *b);
+            }
+        },
+    );
+}
+
+/// Whether this processor has the instruction that [`tile`] and its like are made of.
+#[cfg(target_arch = "x86_64")]
+pub(super) fn is_available() -> bool {
+    std::arch::is_x86_feature_detected!("avx512bf16") && std::arch::is_x86_feature_detected!("avx512f")
+}
+
+/// The bits of pairs as the instruction takes them.
+#[cfg(target_arch = "x86_64")]
+#[allow(unsafe_code)]
+#[inline(always)]
+pub(super) fn as_pairs(bits: std::arch::x86_64::__m512i) -> std::arch::x86_64::__m512bh {
+    // SAFETY: both types are 64 bytes of which any are valid.
+    unsafe { std::mem::transmute(bits) }
+}
+
+/// The two numbers of a pair.
+#[inline(always)]
+fn halves(pair: u32) -> [f32; 2] {
+    [f32::from_bits(pair << 16), f32::from_bits(pair & 0xffff_0000)]
+}
+
+/// Adds the products of one pair with many, as the instruction does.
+#[inline(always)]
+pub(super) fn multiply_add(pair: u32, pairs: &[u32], sums: &mut [f32]) {
+    let [first, second] = halves(pair);
+    for (sum, &other) in sums.iter_mut().zip(pairs) {
+        let [low, high] = halves(other);
+        *sum = first.mul_add(low, second.mul_add(high, *sum));
+    }
+}
+
+/// Adds the products of pairs of numbers, place by place, as the instruction does. `[2 L], [2 L], [L]`
+#[inline(always)]
+pub(super) fn multiply_add_each(first: &[u16], second: &[u16], sums: &mut [f32]) {
+    let number = |bits: u16| f32::from_bits(u32::from(bits) << 16);
+    for (sum, (a, b)) in sums.iter_mut().zip(first.chunks_exact(2).zip(second.chunks_exact(2))) {
+        *sum = number(a[0]).mul_add(number(b[0]), number(a[1]).mul_add(number(b[1]), *sum));
+    }
+}
+
 /// Adds the products of one tile: `values [ROWS][DEPTH]`, `weights [pairs][COLUMNS]`.
 pub(super) fn tile(values: &[u32], weights: &[u32], sums: &mut Tile) {
     #[cfg(target_arch = "x86_64")]
-    if x86::is_available() {
+    if is_available() {
         x86::tile(values, weights, sums);
         return;
     }
@@ -49,17 +102,12 @@ pub(super) fn tile(values: &[u32], weights: &[u32], sums: &mut Tile) {
 
 /// The same in code for any processor.
 fn portable_tile(values: &[u32], weights: &[u32], sums: &mut Tile) {
-    let halves = |pair: u32| [f32::from_bits(pair << 16), f32::from_bits(pair & 0xffff_0000)];
     vectorised(
         #[inline(always)]
         || {
             for (pair, weights) in weights.chunks_exact(COLUMNS).enumerate() {
                 for (row, sums) in sums.iter_mut().enumerate() {
-                    let [first, second] = halves(values[row * DEPTH + pair]);
-                    for (sum, &weight) in sums.iter_mut().zip(weights) {
-                        let [low, high] = halves(weight);
-                        *sum = first.mul_add(low, second.mul_add(high, *sum));
-                    }
+                    multiply_add(values[row * DEPTH + pair], weights, sums);
                 }
             }
         },
@@ -71,17 +119,11 @@ fn portable_tile(values: &[u32], weights: &[u32], sums: &mut Tile) {
 #[allow(unsafe_code)]
 mod x86 {
     use std::arch::x86_64::{
-        __m512bh, __m512i, _mm512_dpbf16_ps, _mm512_loadu_ps, _mm512_loadu_si512, _mm512_set1_epi32, _mm512_setzero_ps,
-        _mm512_storeu_ps,
+        _mm512_dpbf16_ps, _mm512_loadu_ps, _mm512_loadu_si512, _mm512_set1_epi32, _mm512_setzero_ps, _mm512_storeu_ps,
     };
 
-    use super::{COLUMNS, DEPTH, Tile};
+    use super::{COLUMNS, DEPTH, Tile, as_pairs, is_available};
     use crate::kernels::product::{ROWS, for_rows};
-
-    /// Whether this processor has the instruction.
-    pub(super) fn is_available() -> bool {
-        std::arch::is_x86_feature_detected!("avx512bf16") && std::arch::is_x86_feature_detected!("avx512f")
-    }
 
     /// Adds the products of one tile; only where [`is_available`].
     pub(super) fn tile(values: &[u32], weights: &[u32], sums: &mut Tile) {
@@ -102,10 +144,6 @@ mod x86 {
                 total[ROW] = [_mm512_loadu_ps(row), _mm512_loadu_ps(row.add(COLUMNS / 2))];
             }
         });
-        let as_pairs = |bits: __m512i| -> __m512bh {
-            // SAFETY: both types are 64 bytes of which any are valid.
-            unsafe { std::mem::transmute(bits) }
-        };
         for (pair, weights) in weights.chunks_exact(COLUMNS).enumerate() {
             // SAFETY: a chunk holds two vectors of sixteen pairs.
             let [low, high] = unsafe {

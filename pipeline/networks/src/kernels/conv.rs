@@ -6,6 +6,9 @@
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
+use super::conv_pairs;
+use super::product::Precision;
+
 /// Output channels of a register tile.
 pub(super) const TILE: usize = 8;
 /// Zero columns left of the image in a band buffer.
@@ -22,30 +25,45 @@ pub(crate) enum After {
     Relu,
 }
 
-/// Weights laid out for the tiles: `[tiles][inputs][9][TILE]`, and what goes with them.
+/// Weights laid out for the tiles, and what goes with them.
 #[derive(Debug)]
 pub(crate) struct Conv3x3 {
-    weights: Vec<f32>,
+    weights: Weights,
     bias: Vec<f32>,
     inputs: usize,
     outputs: usize,
 }
 
+#[derive(Debug)]
+enum Weights {
+    /// `[tiles][inputs][9][TILE]`
+    Single(Vec<f32>),
+    /// As [`conv_pairs`] takes them.
+    Pairs(Vec<u32>),
+}
+
+/// Weights for the f32 tiles.
+fn pack(weight: &[f32], outputs: usize, inputs: usize) -> Vec<f32> {
+    let mut weights = vec![0.0; outputs.div_ceil(TILE) * inputs * 9 * TILE];
+    for output in 0..outputs {
+        let tile = &mut weights[(output / TILE) * inputs * 9 * TILE..][..inputs * 9 * TILE];
+        for (tap, &value) in weight[output * inputs * 9..][..inputs * 9].iter().enumerate() {
+            tile[tap * TILE + output % TILE] = value;
+        }
+    }
+    weights
+}
+
 impl Conv3x3 {
     /// From PyTorch's layout. `weight [out, in, 3, 3]`, `bias [out]` or empty
-    pub(crate) fn new(weight: &[f32], bias: &[f32], outputs: usize, inputs: usize) -> Self {
-        let tiles = outputs.div_ceil(TILE);
-        let mut weights = vec![0.0; tiles * inputs * 9 * TILE];
-        for output in 0..outputs {
-            let tile = &mut weights[(output / TILE) * inputs * 9 * TILE..][..inputs * 9 * TILE];
-            for (tap, &value) in weight[output * inputs * 9..][..inputs * 9].iter().enumerate() {
-                tile[tap * TILE + output % TILE] = value;
-            }
-        }
+    pub(crate) fn new(weight: &[f32], bias: &[f32], outputs: usize, inputs: usize, precision: Precision) -> Self {
         let mut padded = bias.to_vec();
-        padded.resize(tiles * TILE, 0.0);
+        padded.resize(outputs.div_ceil(TILE) * TILE, 0.0);
         Self {
-            weights,
+            weights: match precision {
+                Precision::F32 => Weights::Single(pack(weight, outputs, inputs)),
+                Precision::Bf16 => Weights::Pairs(conv_pairs::pack(weight, outputs, inputs)),
+            },
             bias: padded,
             inputs,
             outputs,
@@ -130,11 +148,15 @@ impl Conv3x3 {
     pub(super) fn band(&self, band: &Band) -> Vec<f32> {
         let tiles = self.bias.len() / TILE;
         let mut sums = vec![0.0f32; tiles * TILE * band.rows * band.width];
-        Arch::new().dispatch(BandKernel {
-            conv: self,
-            band,
-            sums: &mut sums,
-        });
+        match &self.weights {
+            Weights::Single(weights) => Arch::new().dispatch(BandKernel {
+                weights,
+                conv: self,
+                band,
+                sums: &mut sums,
+            }),
+            Weights::Pairs(weights) => conv_pairs::band(weights, &self.bias, band, &mut sums),
+        }
         sums
     }
 }
@@ -167,6 +189,26 @@ impl Band {
         }
     }
 
+    /// Rows and columns that are computed.
+    pub(super) fn size(&self) -> [usize; 2] {
+        [self.rows, self.width]
+    }
+
+    /// Distance of rows in the buffer.
+    pub(super) fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// Distance of channels in the buffer.
+    pub(super) fn plane(&self) -> usize {
+        (self.rows + 2) * self.stride
+    }
+
+    /// The buffer. `[inputs][rows + 2][stride]`
+    pub(super) fn values(&self) -> &[f32] {
+        &self.values
+    }
+
     /// Fills each input row: `row(channel, index, out)` where index 0 is the row above the band. Rows left alone are zero.
     pub(super) fn fill(&mut self, mut row: impl FnMut(usize, usize, &mut [f32])) {
         let rows = self.rows + 2;
@@ -177,6 +219,7 @@ impl Band {
 }
 
 struct BandKernel<'a> {
+    weights: &'a [f32],
     conv: &'a Conv3x3,
     band: &'a Band,
     sums: &'a mut [f32],
@@ -187,10 +230,15 @@ impl WithSimd for BandKernel<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { conv, band, sums } = self;
+        let Self {
+            weights,
+            conv,
+            band,
+            sums,
+        } = self;
         let vectors = band.width.div_ceil(S::F32_LANES);
         let (per_tile, plane) = (conv.inputs * 9 * TILE, band.rows * band.width);
-        let (tiles, biases) = (conv.weights.chunks_exact(per_tile), conv.bias.chunks_exact(TILE));
+        let (tiles, biases) = (weights.chunks_exact(per_tile), conv.bias.chunks_exact(TILE));
         for ((weights, bias), out) in tiles.zip(biases).zip(sums.chunks_exact_mut(TILE * plane)) {
             for row in 0..band.rows {
                 let mut first = 0;
@@ -221,7 +269,7 @@ fn tile<S: Simd, const V: usize>(
     column: usize,
 ) -> usize {
     let mut sums: [[S::f32s; V]; TILE] = std::array::from_fn(|channel| [simd.splat_f32s(bias[channel]); V]);
-    let channel_stride = (band.rows + 2) * band.stride;
+    let channel_stride = band.plane();
     let span = V * S::F32_LANES;
     for (channel, weights) in weights.chunks_exact(9 * TILE).enumerate() {
         let rows = &band.values[channel * channel_stride + row * band.stride + column..];
@@ -308,7 +356,13 @@ mod tests {
                 noise(outputs * inputs * 9, 2),
                 noise(outputs, 3),
             );
-            let found = Conv3x3::new(&weight, &bias, outputs, inputs).run(&input, [h, w], false, After::Nothing, None);
+            let found = Conv3x3::new(&weight, &bias, outputs, inputs, Precision::F32).run(
+                &input,
+                [h, w],
+                false,
+                After::Nothing,
+                None,
+            );
             let expected = plain(&input, &weight, &bias, [inputs, outputs], [h, w]);
             for (a, b) in found.iter().zip(&expected) {
                 assert!((a - b).abs() < 1e-4, "{inputs}x{outputs} at {h}x{w}: {a} {b}");
@@ -316,8 +370,13 @@ mod tests {
             let rectified: Vec<f32> = input.iter().map(|value| value.max(0.0)).collect();
             let expected = plain(&rectified, &weight, &bias, [inputs, outputs], [h, w]);
             let residual = noise(expected.len(), 4);
-            let found =
-                Conv3x3::new(&weight, &bias, outputs, inputs).run(&input, [h, w], true, After::Relu, Some(&residual));
+            let found = Conv3x3::new(&weight, &bias, outputs, inputs, Precision::F32).run(
+                &input,
+                [h, w],
+                true,
+                After::Relu,
+                Some(&residual),
+            );
             for ((a, b), r) in found.iter().zip(&expected).zip(&residual) {
                 assert!((a - (b.max(0.0) + r.max(0.0))).abs() < 1e-4);
             }

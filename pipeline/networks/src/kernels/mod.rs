@@ -7,12 +7,14 @@
 mod attention;
 mod bf16;
 mod conv;
+mod conv_pairs;
 mod dense_tail;
 pub(crate) mod differentiable;
 mod extension;
 mod pointwise;
 mod product;
 mod vectorised;
+mod weight_pairs;
 mod winograd;
 
 pub(crate) use attention::{HeadNorm, PackedAttention};

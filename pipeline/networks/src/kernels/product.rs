@@ -117,6 +117,18 @@ impl PackedWeight {
                                         .for_each(|(out, value)| *out = value.to_bits());
                                 }
                             }
+                            Precision::Bf16 if strides[0] == 1 => {
+                                for (unit, out) in out.chunks_exact_mut(COLUMNS).enumerate() {
+                                    let row = |input: usize| &weight[panel * COLUMNS + input * strides[1]..][..lanes];
+                                    let input = (first + unit) * numbers;
+                                    let second = if input + 1 < inputs {
+                                        row(input + 1)
+                                    } else {
+                                        &[0.0; COLUMNS]
+                                    };
+                                    bf16::pack_two(row(input), second, out);
+                                }
+                            }
                             Precision::Bf16 => {
                                 let at = |lane: usize, input: usize| {
                                     weight[(panel * COLUMNS + lane) * strides[0] + input * strides[1]]

@@ -317,7 +317,7 @@ mod tests {
             let (weight, bias) = (noise(outputs * inputs * 9, 2), noise(outputs, 3));
             let (tiled, direct) = (
                 Winograd::new(&weight, bias.clone(), inputs, outputs).unwrap(),
-                Conv3x3::new(&weight, &bias, outputs, inputs),
+                Conv3x3::new(&weight, &bias, outputs, inputs, Precision::F32),
             );
             let input = noise(2 * inputs * height * width, 1);
             let residual = noise(2 * outputs * height * width, 4);

@@ -22,6 +22,8 @@ pub struct Linear {
     pub bias: Option<Tensor<1>>,
     /// A `[rank, in]` and B `[out, rank]` of an update that is being trained.
     pub update: Option<[Tensor<2>; 2]>,
+    /// Numbers that products are made of while gradients are recorded.
+    pub products: Precision,
     /// The weight as the CPU kernel takes it, made when first needed.
     packed: Arc<OnceLock<PackedWeight>>,
 }
@@ -34,8 +36,15 @@ impl Linear {
             weight,
             bias,
             update: None,
+            products: Precision::F32,
             packed: Arc::default(),
         }
+    }
+
+    /// The same layer, its products made of such numbers while gradients are recorded.
+    #[must_use]
+    pub fn with_products(self, products: Precision) -> Self {
+        Self { products, ..self }
     }
 
     /// Reads `weight` and `bias`, and the low-rank update `lora_A`, `lora_B` when the scope has one: it is folded into the
@@ -47,8 +56,9 @@ impl Linear {
         let weight = scope.get("weight", [outputs, inputs])?;
         let bias = Some(scope.get("bias", [outputs])?);
         let rank = scope.shape("lora_A.weight").and_then(|shape| shape.first().copied());
+        let new = |weight, bias| Self::new(weight, bias).with_products(scope.products());
         let Some(rank) = rank else {
-            return Ok(Self::new(weight, bias));
+            return Ok(new(weight, bias));
         };
         let update = [
             scope.get("lora_A.weight", [rank, inputs])?,
@@ -57,10 +67,10 @@ impl Linear {
         if update.iter().any(|part| part.is_autodiff()) {
             return Ok(Self {
                 update: Some(update),
-                ..Self::new(weight, bias)
+                ..new(weight, bias)
             });
         }
-        Ok(Self::new(fold(weight, update), bias))
+        Ok(new(fold(weight, update), bias))
     }
 
     /// Applies the layer to the last dimension. `[..., in] -> [..., out]`
@@ -69,9 +79,10 @@ impl Linear {
         if self.update.is_none() && kernels::usable(&input) && kernels::usable(&self.weight) {
             return packed_linear(input, &self.weight, &self.packed, self.bias.as_ref());
         }
-        let plain = linear(input.clone(), self.weight.clone(), self.bias.clone());
+        let linear = |input, weight: &Tensor<2>, bias| linear(input, weight.clone(), bias, self.products);
+        let plain = linear(input.clone(), &self.weight, self.bias.clone());
         match &self.update {
-            Some([a, b]) => plain + linear(linear(input, a.clone(), None), b.clone(), None) * LORA_SCALE,
+            Some([a, b]) => plain + linear(linear(input, a, None), b, None) * LORA_SCALE,
             None => plain,
         }
     }
@@ -83,9 +94,15 @@ pub fn fold(weight: Tensor<2>, [a, b]: [Tensor<2>; 2]) -> Tensor<2> {
     weight + b.matmul(a) * LORA_SCALE
 }
 
-/// y = x W^T + b on the last dimension, `weight [out, in]`.
+/// y = x W^T + b on the last dimension, `weight [out, in]`. While gradients are recorded on the CPU, products are made of
+/// such numbers.
 #[must_use]
-pub fn linear<const D: usize>(input: Tensor<D>, weight: Tensor<2>, bias: Option<Tensor<1>>) -> Tensor<D> {
+pub fn linear<const D: usize>(
+    input: Tensor<D>,
+    weight: Tensor<2>,
+    bias: Option<Tensor<1>>,
+    products: Precision,
+) -> Tensor<D> {
     let mut dims = input.dims();
     let [outputs, inputs] = weight.dims();
     let rows = dims[..D - 1].iter().product::<usize>();
@@ -96,7 +113,7 @@ pub fn linear<const D: usize>(input: Tensor<D>, weight: Tensor<2>, bias: Option<
         .as_ref()
         .filter(|_| differentiable::usable(&input) && differentiable::usable(&weight))
     {
-        return differentiable::linear(input, weight, bias.clone());
+        return differentiable::linear(input, weight, bias.clone(), products);
     }
     let product = input.reshape([rows, inputs]).matmul(weight.transpose());
     dims[D - 1] = outputs;
@@ -236,6 +253,8 @@ pub struct Conv {
     pub bias: Option<Tensor<1>>,
     stride: usize,
     padding: usize,
+    /// Numbers that products are made of while gradients are recorded.
+    products: Precision,
     /// The weights as the CPU kernel takes them, made when first needed.
     packed: Arc<OnceLock<Conv3x3>>,
     /// The same for minimal filtering; `None` inside where the layer is too narrow to gain from it.
@@ -274,6 +293,7 @@ impl Conv {
             bias: None,
             stride,
             padding: kernel / 2,
+            products: scope.products(),
             packed: Arc::default(),
             tiled: Arc::default(),
         })
@@ -319,7 +339,7 @@ impl Conv {
                 .bias
                 .clone()
                 .unwrap_or_else(|| Tensor::zeros([outputs], &input.device()));
-            return differentiable::convolve(input, self.weight.clone(), bias);
+            return differentiable::convolve(input, self.weight.clone(), bias, self.products);
         }
         let options = ConvOptions::new([self.stride; 2], [self.padding; 2], [1, 1], 1);
         module::conv2d(input, self.weight.clone(), self.bias.clone(), options)
@@ -354,7 +374,7 @@ impl Conv {
         let is_tiled = Winograd::fits(size) && self.tiled.get_or_init(tiled).is_some();
         if !is_tiled {
             self.packed
-                .get_or_init(|| Conv3x3::new(&values(&self.weight), &bias(), outputs, inputs));
+                .get_or_init(|| Conv3x3::new(&values(&self.weight), &bias(), outputs, inputs, Precision::F32));
         }
         let (packed, tiled) = (self.packed.clone(), self.tiled.clone());
         kernels::read(

@@ -121,5 +121,10 @@ pub fn patch_projection(images: Tensor<4>, weight: Tensor<4>, bias: Tensor<1>) -
         .reshape([frames, channels, rows, patch, columns, patch])
         .permute([0, 2, 4, 1, 3, 5]);
     let cells = cells.reshape([frames, rows * columns, channels * patch * patch]);
-    ops::linear(cells, weight.reshape([outputs, channels * patch * patch]), Some(bias))
+    ops::linear(
+        cells,
+        weight.reshape([outputs, channels * patch * patch]),
+        Some(bias),
+        Precision::F32,
+    )
 }

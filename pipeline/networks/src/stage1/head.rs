@@ -10,7 +10,7 @@ use super::network::Encoded;
 use super::positions::head_positions;
 use super::stem::Pyramid;
 use crate::Result;
-use crate::kernels::{self, After, Conv3x3, DenseTail};
+use crate::kernels::{self, After, Conv3x3, DenseTail, Precision};
 use crate::ops::{self, Conv, Linear};
 use crate::parameters::{Scope, from_host};
 
@@ -153,7 +153,7 @@ impl Tail {
         let (outputs, hidden) = (head.dims()[0], head.dims()[1]);
         self.packed.get_or_init(|| {
             let bias = self.first.bias.as_ref().map(ops::values).unwrap_or_default();
-            let first = Conv3x3::new(&ops::values(weight), &[], hidden, inputs);
+            let first = Conv3x3::new(&ops::values(weight), &[], hidden, inputs, Precision::F32);
             let mut map = match positions() {
                 Some(positions) => first.run(&ops::values(&positions), size, false, After::Nothing, None),
                 None => vec![0.0; hidden * size[0] * size[1]],
@@ -241,7 +241,7 @@ impl DenseHead {
                 .get("weight", [channels[level], inputs, 1, 1])?
                 .reshape([channels[level], inputs]);
             let bias = scope.get("bias", [channels[level]])?;
-            Ok(Linear::new(weight, Some(bias)))
+            Ok(Linear::new(weight, Some(bias)).with_products(scope.products()))
         };
         let enlarge = |level: usize, kernel: usize| -> Result<(Tensor<4>, Tensor<1>)> {
             let scope = scope.child(format_args!("resize_layers.{level}"));
@@ -299,13 +299,16 @@ impl DenseHead {
             scale = scale * gain.clone();
             offset = offset * gain + modulation.narrow(0, inputs, inputs);
         }
-        Projections(self.projections.clone().map(|Linear { weight, bias, .. }| {
+        Projections(self.projections.clone().map(|layer| {
+            let Linear {
+                weight, bias, products, ..
+            } = layer;
             let outputs = weight.dims()[0];
             let shift = weight
                 .clone()
                 .matmul(offset.clone().unsqueeze_dim(1))
                 .reshape([outputs]);
-            Linear::new(weight * scale.clone().unsqueeze(), bias.map(|bias| bias + shift))
+            Linear::new(weight * scale.clone().unsqueeze(), bias.map(|bias| bias + shift)).with_products(products)
         }))
     }
 

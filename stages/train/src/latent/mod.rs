@@ -20,8 +20,10 @@ pub use self::clips::LatentClip;
 use self::clips::Place;
 pub use self::settings::{LatentLosses, LatentTraining};
 use crate::checkpoint::State;
+use crate::config::check_precision;
 use crate::error::{Error, Result};
 use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
+use crate::segments::Segments;
 use crate::stream::Stream;
 
 /// A run between two updates.
@@ -39,18 +41,21 @@ pub struct LatentTrainer {
 }
 
 impl LatentTrainer {
-    /// A run before its first update.
+    /// A run before its first update, on a device of its own kind with gradients.
     ///
     /// # Errors
     /// When settings are wrong, weights cannot be read or do not fit each other, or there is nothing to train on.
-    pub fn new(settings: LatentTraining) -> Result<Self> {
+    pub fn new(settings: LatentTraining, device: &Device) -> Result<Self> {
         settings.check()?;
-        let device = Device::flex().autodiff();
-        let network = checkpoint::open_stage1(&settings.lift, &device)?.network;
-        let adapter = match &settings.start {
+        check_precision(settings.precision, device)?;
+        let device = device.clone().autodiff();
+        let mut network = checkpoint::open_stage1(&settings.lift, &device)?.network;
+        let mut adapter = match &settings.start {
             Some(path) => started(open_adapter(path, &device)?, &network)?,
             None => from_seed(&network, &settings, &device)?,
         };
+        network.parameters.set_products(settings.precision.into());
+        adapter.set_products(settings.precision.into());
         let plain = Stage1::new(network.config.clone(), network.parameters.without_gradients())?;
         let [training, held_out] = clips::find(&settings)?;
         Ok(Self {
@@ -65,10 +70,8 @@ impl LatentTrainer {
         })
     }
 
-    /// The losses of a clip by name, with their weights, for an adapter on the network's device or one without gradients.
-    fn terms(&self, network: &Stage1, adapter: &Parameters, clip: &LatentClip) -> Result<Vec<Term>> {
-        let weights = &self.settings.losses;
-        let device = adapter.device();
+    /// Tokens of a clip by an adapter on a network's device, and by the RGB path.
+    fn pass(&self, network: &Stage1, adapter: &Parameters, clip: &LatentClip) -> Result<Pass> {
         let inputs = ClipInputs {
             clip: &clip.clip,
             robot: &clip.robot,
@@ -76,51 +79,136 @@ impl LatentTrainer {
             latents: Some(&clip.latents),
             adapter: None,
         };
-        let (frames, cells) = latent_inputs(network, &LiftParams::default(), inputs, device)?;
-        let visual = Visual::of(&self.plain, &frames, weights.needs_network())?;
+        let (frames, cells) = latent_inputs(network, &LiftParams::default(), inputs, adapter.device())?;
         let config = &network.config;
         let tokens = LatentAdapter::new(adapter.scope("adapter"), config.width, config.heads).forward(cells)?;
-        let aligned = distillation::tokens(tokens.clone(), visual.tokens.to_device(device));
-        let mut terms = vec![
+        let plain_frames = without_gradients(&frames);
+        let visual = Visual::of(&self.plain, &plain_frames, self.settings.losses.needs_network())?;
+        Ok(Pass {
+            frames,
+            plain_frames,
+            tokens,
+            visual,
+        })
+    }
+
+    /// Losses of the tokens.
+    fn token_terms(&self, pass: &Pass) -> Vec<Term> {
+        let weights = &self.settings.losses;
+        let visual = pass.visual.tokens.clone().to_device(&pass.tokens.device());
+        let aligned = distillation::tokens(pass.tokens.clone(), visual);
+        vec![
             ("token", weights.token, aligned.square),
             ("pairs", weights.pairs, aligned.pairs),
             ("direction", weights.direction, aligned.direction),
-        ];
-        if let Some((encoded, log_depth)) = visual.behind {
-            let latent = network.encode_tokens(&frames, tokens)?;
-            let feature = distillation::features(&latent.taps, &encoded.taps.map(|tap| tap.to_device(device)));
-            let depth = distillation::log_depth(log_depth_of(network, &latent)?, log_depth.to_device(device));
-            terms.push(("feature", weights.feature, feature));
-            terms.push(("log_depth", weights.log_depth, depth));
-        }
-        Ok(terms)
+        ]
+    }
+
+    /// Losses of what the network makes of the tokens.
+    fn network_terms(&self, network: &Stage1, latent: &Encoded, behind: &Behind) -> Result<Vec<Term>> {
+        let (weights, device) = (&self.settings.losses, latent.taps[0].device());
+        let taps = behind.encoded.taps.clone().map(|tap| tap.to_device(&device));
+        let log_depth = behind.log_depth.clone().to_device(&device);
+        Ok(vec![
+            ("feature", weights.feature, distillation::features(&latent.taps, &taps)),
+            (
+                "log_depth",
+                weights.log_depth,
+                distillation::log_depth(log_depth_of(network, latent)?, log_depth),
+            ),
+        ])
     }
 
     /// Losses and gradients of a clip.
     fn differentiate(&self, clip: &LatentClip) -> Result<ClipResult> {
+        let network = &self.network;
         let tracked = self
             .adapter
             .with_leaves(self.adapter.device(), |_, values| values.require_grad());
-        let mut loss: Option<Tensor<1>> = None;
-        let (mut value, mut terms) = (0.0, BTreeMap::new());
-        for (name, weight, term) in self.terms(&self.network, &tracked, clip)? {
-            let unweighted = number(term.clone())?;
-            value += weight * unweighted;
-            terms.insert(name, unweighted);
-            if weight > 0.0 {
-                let weighted = term * weight;
-                loss = Some(loss.map_or(weighted.clone(), |sum| sum + weighted));
+        let pass = self.pass(network, &tracked, clip)?;
+        let mut sum = Sum::default();
+        sum.add(self.token_terms(&pass))?;
+        if let Some(behind) = &pass.visual.behind {
+            if self.settings.gradient_checkpointing {
+                let of_network = self.through_segments(&pass, behind, &mut sum)?;
+                sum.loss = match (sum.loss.take(), of_network) {
+                    (Some(loss), Some(of_network)) => Some(loss + of_network),
+                    (loss, of_network) => loss.or(of_network),
+                };
+            } else {
+                let latent = network.encode_tokens(&pass.frames, pass.tokens.clone())?;
+                sum.add(self.network_terms(network, &latent, behind)?)?;
             }
         }
-        let gradients = match &loss {
+        let gradients = match &sum.loss {
             Some(loss) => optimiser::gradients(&tracked, loss)?,
             None => Gradients::new(),
         };
         Ok(ClipResult {
-            value,
-            terms,
+            value: sum.value,
+            terms: sum.terms,
             gradients,
         })
+    }
+
+    /// Adds the values of the losses behind the tokens; returns a number whose gradient with respect to the tokens is theirs.
+    fn through_segments(&self, pass: &Pass, behind: &Behind, sum: &mut Sum) -> Result<Option<Tensor<1>>> {
+        let (network, frames) = (&self.network, &pass.frames);
+        let tokens = pass.tokens.clone().without_autodiff();
+        let segments = Segments::run(&self.plain, &pass.plain_frames, tokens)?;
+        let leaves = segments.taps.clone().map(|tap| tap.autodiff().require_grad());
+        let [_, _, height, width] = frames.images.dims();
+        let latent = network.encoded(leaves.clone(), network.local(frames)?, [height, width])?;
+        let mut of_network = Sum::default();
+        of_network.add(self.network_terms(network, &latent, behind)?)?;
+        sum.value += of_network.value;
+        sum.terms.append(&mut of_network.terms);
+        let Some(loss) = of_network.loss else { return Ok(None) };
+        let mut graph = loss.backward();
+        let of_taps = leaves.map(|leaf| leaf.grad_remove(&mut graph));
+        drop((graph, latent));
+        // Nothing of the network is trained: there is nothing to collect.
+        let gradient = segments.back(network, frames, &of_taps, &mut Gradients::new())?;
+        let Some(gradient) = gradient else { return Ok(None) };
+        let tokens = network.embed(frames, pass.tokens.clone())?;
+        Ok(Some((tokens * gradient.autodiff()).sum()))
+    }
+}
+
+/// A clip on its way to the losses.
+struct Pass {
+    frames: SourceFrames,
+    /// The same without gradients.
+    plain_frames: SourceFrames,
+    /// Of the adapter.
+    tokens: Tensor<3>,
+    visual: Visual,
+}
+
+/// A sum of weighted terms.
+#[derive(Default)]
+struct Sum {
+    value: f64,
+    terms: BTreeMap<&'static str, f64>,
+    /// Its differentiable part: terms with a weight.
+    loss: Option<Tensor<1>>,
+}
+
+impl Sum {
+    fn add(&mut self, terms: Vec<Term>) -> Result<()> {
+        for (name, weight, term) in terms {
+            let unweighted = number(term.clone())?;
+            self.value += weight * unweighted;
+            self.terms.insert(name, unweighted);
+            if weight > 0.0 {
+                let weighted = term * weight;
+                self.loss = Some(match self.loss.take() {
+                    Some(loss) => loss + weighted,
+                    None => weighted,
+                });
+            }
+        }
+        Ok(())
     }
 }
 
@@ -137,27 +225,36 @@ type Term = (&'static str, f64, Tensor<1>);
 /// What the RGB path makes of a clip.
 struct Visual {
     tokens: Tensor<3>,
-    /// What the heads read, and the logarithm of depth.
-    behind: Option<(Encoded, Tensor<3>)>,
+    behind: Option<Behind>,
+}
+
+/// What the network makes of tokens.
+struct Behind {
+    /// What the heads read.
+    encoded: Encoded,
+    log_depth: Tensor<3>,
 }
 
 impl Visual {
-    fn of(network: &Stage1, frames: &SourceFrames, behind: bool) -> Result<Self> {
-        let frames = SourceFrames {
-            images: frames.images.clone().without_autodiff(),
-            cameras: frames.cameras.clone(),
-            times: frames.times.clone(),
-            attention: frames.attention.clone(),
-        };
-        let tokens = network.patch_tokens(&frames, network.local(&frames)?.as_ref())?;
-        let behind = if behind {
-            let encoded = network.encode_tokens(&frames, tokens.clone())?;
+    fn of(network: &Stage1, frames: &SourceFrames, needs_network: bool) -> Result<Self> {
+        let tokens = network.patch_tokens(frames, network.local(frames)?.as_ref())?;
+        let behind = if needs_network {
+            let encoded = network.encode_tokens(frames, tokens.clone())?;
             let log_depth = log_depth_of(network, &encoded)?;
-            Some((encoded, log_depth))
+            Some(Behind { encoded, log_depth })
         } else {
             None
         };
         Ok(Self { tokens, behind })
+    }
+}
+
+fn without_gradients(frames: &SourceFrames) -> SourceFrames {
+    SourceFrames {
+        images: frames.images.clone().without_autodiff(),
+        cameras: frames.cameras.clone(),
+        times: frames.times.clone(),
+        attention: frames.attention.clone(),
     }
 }
 
@@ -296,7 +393,13 @@ impl Course for LatentTrainer {
         let mut evaluation = Evaluation::default();
         let adapter = self.adapter.without_gradients();
         for place in &self.held_out {
-            for (name, _, value) in self.terms(&self.plain, &adapter, &place.read()?)? {
+            let pass = self.pass(&self.plain, &adapter, &place.read()?)?;
+            let mut terms = self.token_terms(&pass);
+            if let Some(behind) = &pass.visual.behind {
+                let latent = self.plain.encode_tokens(&pass.frames, pass.tokens.clone())?;
+                terms.extend(self.network_terms(&self.plain, &latent, behind)?);
+            }
+            for (name, _, value) in terms {
                 *evaluation.scores.entry(name.to_owned()).or_insert(0.0) += number(value)? / self.held_out.len() as f64;
             }
         }

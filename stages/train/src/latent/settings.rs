@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use rogs_lift::Numbers;
 use serde::{Deserialize, Serialize};
 
 use crate::config;
@@ -34,6 +35,12 @@ pub struct LatentTraining {
     pub evaluation_clips: usize,
     /// Clips of an update.
     pub clips_per_step: usize,
+    /// Runs the aggregator twice, the second time a pair at a time, instead of keeping what all pairs compute: less memory,
+    /// more time. Only where a loss looks behind the tokens.
+    pub gradient_checkpointing: bool,
+    /// Numbers of the products of linear layers and 3x3 convolutions, forwards and backwards: `f32`, or `bf16` with sums in
+    /// f32. Parameters, moments and everything else stay f32. `bf16` is for the CPU.
+    pub precision: Numbers,
     /// Learning rate.
     pub rate: f64,
     /// Updates over which the rate rises; afterwards it stays.
@@ -78,6 +85,8 @@ impl Default for LatentTraining {
             evaluate_every: 500,
             evaluation_clips: 4,
             clips_per_step: 1,
+            gradient_checkpointing: false,
+            precision: Numbers::F32,
             rate: 1e-4,
             warmup: 500,
             betas: [0.9, 0.95],

@@ -1,10 +1,10 @@
 //! Training of Stage 1, the lifting network (`stage1-network.md` sections 14 and 15).
 
+mod checkpointed;
 mod evaluate;
 pub mod forward;
 pub mod objective;
 mod renders;
-mod segments;
 pub mod start;
 
 use std::collections::BTreeMap;
@@ -12,6 +12,7 @@ use std::collections::BTreeMap;
 use burn::tensor::Device;
 use rayon::prelude::*;
 use rogs_networks::checkpoint::{PROCEDURAL, TRAINING_DOMAIN, stage1_metadata};
+use rogs_networks::device;
 use rogs_networks::lpips::LpipsTensors;
 use rogs_networks::optimiser::{self, Gradients, Moments, Rule, schedule};
 use rogs_networks::parameters::Parameters;
@@ -19,7 +20,7 @@ use rogs_networks::stage1::Stage1;
 use rogs_random::Pcg64;
 
 use crate::checkpoint::State;
-use crate::config::Stage1Training;
+use crate::config::{Stage1Training, check_precision};
 use crate::error::{Error, Result};
 use crate::perceptual::perceptual;
 use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
@@ -52,9 +53,11 @@ impl Stage1Trainer {
     /// When settings are wrong or the checkpoint to start from cannot be opened.
     pub fn new(settings: Stage1Training, device: &Device) -> Result<Self> {
         settings.check()?;
+        check_precision(settings.precision, device)?;
         let device = device.clone().autodiff();
-        let start = start::start(&settings, &device)?;
-        let perceptual = perceptual(settings.lpips.as_deref(), &device)?;
+        let mut start = start::start(&settings, &device)?;
+        start.network.parameters.set_products(settings.precision.into());
+        let perceptual = perceptual(settings.lpips.as_deref(), &Device::flex().autodiff())?;
         Ok(Self {
             settings,
             network: start.network,
@@ -85,7 +88,7 @@ impl Stage1Trainer {
             Heads::Depth
         };
         let (objective, gradients) = if settings.gradient_checkpointing {
-            segments::differentiate(&network, clip, (conditioned, heads), losses, &mut random)?
+            checkpointed::differentiate(&network, clip, (conditioned, heads), losses, &mut random)?
         } else {
             let lifted = lift(&network, clip, conditioned, heads)?;
             let objective = objective(clip, &lifted, losses, &mut random)?;
@@ -173,11 +176,18 @@ impl Course for Stage1Trainer {
         metadata
     }
 
-    // Clips are differentiated side by side on as many threads as there are; their gradients are added up in their order.
+    // Clips are differentiated side by side on as many threads as there are, on a graphics processor one after the other; their
+    // gradients are added up in their order.
     fn update(&mut self, batch: &Batch) -> Result<UpdateReport> {
+        let at_a_time = if device::is_cpu(self.network.parameters.device()) {
+            1
+        } else {
+            batch.clips.len().max(1)
+        };
         let results: Vec<Result<ClipResult>> = (0..batch.clips.len())
             .into_par_iter()
-            .with_max_len(1)
+            .with_min_len(at_a_time)
+            .with_max_len(at_a_time)
             .map(|index| self.differentiate(&batch.clips[index], index as u64))
             .collect();
         let mut sum = Gradients::new();

@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use burn::tensor::{Int, Tensor, TensorData};
+use burn::tensor::{Device, Int, Tensor, TensorData};
+use rogs_networks::device;
 use rogs_networks::lpips::LpipsTensors;
 use rogs_networks::parameters::{from_host, to_host};
 use rogs_networks::stage1::losses;
@@ -36,7 +37,7 @@ pub struct Objective {
 pub struct Losses<'a> {
     /// Weight of each term.
     pub weights: &'a LossWeights,
-    /// The network of `movies_lpips`, on the device of the outputs; that term is left out without it.
+    /// The network of `movies_lpips`, on the CPU; that term is left out without it.
     pub perceptual: Option<&'a LpipsTensors>,
 }
 
@@ -64,11 +65,35 @@ fn track_pixels(sample: &Sample, random: &mut Pcg64) -> Vec<i32> {
     chosen
 }
 
-/// The objective of one clip; terms whose weight is 0 are not computed.
+/// The objective of one clip; terms whose weight is 0 are not computed. Losses are computed on the CPU, where the rasteriser
+/// has its backward pass, wherever the network ran.
 ///
 /// # Errors
 /// When the device or the rasteriser fails.
 pub fn objective(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &mut Pcg64) -> Result<Objective> {
+    if device::is_cpu(&lifted.depth.device()) {
+        on_outputs(sample, lifted, judged, random)
+    } else {
+        on_copies(sample, lifted, judged, random)
+    }
+}
+
+/// The objective of copies of a network's outputs on the CPU. The loss that is returned lies on the device of the outputs: its
+/// value is another one, its gradients are those of the objective.
+///
+/// # Errors
+/// As [`objective`].
+pub fn on_copies(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &mut Pcg64) -> Result<Objective> {
+    let leaves = lifted.leaves_on(&Device::flex().autodiff())?;
+    let objective = on_outputs(sample, &leaves, judged, random)?;
+    let loss = lifted.surrogate(&leaves, &mut objective.loss.backward())?;
+    Ok(Objective {
+        loss: loss.unwrap_or_else(|| Tensor::zeros([1], &lifted.depth.device())),
+        ..objective
+    })
+}
+
+fn on_outputs(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &mut Pcg64) -> Result<Objective> {
     let weights = judged.weights;
     let device = lifted.depth.device();
     let [height, width] = sample.size;
@@ -76,19 +101,21 @@ pub fn objective(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &
     let mut sum = Sum::new(&device);
     let map = |values: &[f32]| from_host(values.to_vec(), [views, height, width], &device);
     let valid = map(&sample.valid);
-    if weights.stereo > 0.0 {
+    if weights.stereo > 0.0 || weights.stereo_robot > 0.0 {
         let target: Vec<f32> = sample
             .depth_iu
             .iter()
             .map(|&depth| libm::logf(depth.max(1e-3)))
             .collect();
-        let error = (lifted.log_depth.clone() - map(&target)).abs() * valid.clone();
-        sum.add(
-            "stereo",
-            weights.stereo,
-            1.0,
-            error.sum() / (valid.clone().sum() + EPSILON),
-        )?;
+        let error = (lifted.log_depth.clone() - map(&target)).abs();
+        let mean = |mask: Tensor<3>| (error.clone() * mask.clone()).sum() / (mask.sum() + EPSILON);
+        if weights.stereo > 0.0 {
+            sum.add("stereo", weights.stereo, 1.0, mean(valid.clone()))?;
+        }
+        if weights.stereo_robot > 0.0 {
+            let robot = valid.clone() * map(&sample.support);
+            sum.add("stereo_robot", weights.stereo_robot, 1.0, mean(robot))?;
+        }
     }
     if weights.depth_head > 0.0 {
         let loss = losses::depth(lifted.depth.clone(), map(&sample.depth_iu), valid.clone())?;
@@ -125,7 +152,7 @@ pub(super) struct Sum {
 }
 
 impl Sum {
-    fn new(device: &burn::tensor::Device) -> Self {
+    fn new(device: &Device) -> Self {
         Self {
             objective: Objective {
                 terms: BTreeMap::new(),

@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
+use burn::tensor::Device;
 use rogs_lift::{LiftParams, load_model};
+use rogs_networks::device;
 use rogs_refine::ClipInputs;
 use rogs_schemas::key::CacheKey;
 use rogs_schemas::records::field::Field;
@@ -29,8 +31,11 @@ pub(super) struct Lifter {
 }
 
 impl Lifter {
-    pub(super) fn load(weights: &Path) -> Result<Self> {
-        let params = LiftParams::default();
+    pub(super) fn load(weights: &Path, device: &Device) -> Result<Self> {
+        let params = LiftParams {
+            device: device::name(device).into(),
+            ..LiftParams::default()
+        };
         let model = load_model(&params, Some(weights))?;
         Ok(Self { model, params })
     }

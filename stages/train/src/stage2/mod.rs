@@ -23,6 +23,7 @@ use self::lifted::Lifter;
 pub use self::settings::Stage2Training;
 use self::views::{picture, seen, view};
 use crate::checkpoint::State;
+use crate::config::check_precision;
 use crate::error::{Error, Result};
 use crate::perceptual::perceptual;
 use crate::picture::peak_signal;
@@ -62,15 +63,16 @@ pub struct Stage2Trainer {
 }
 
 impl Stage2Trainer {
-    /// A run before its first update.
+    /// A run before its first update, on a device of its own kind with gradients. Fields are lifted there too.
     ///
     /// # Errors
     /// When settings are wrong or the weights to start from cannot be read.
-    pub fn new(settings: Stage2Training) -> Result<Self> {
+    pub fn new(settings: Stage2Training, device: &Device) -> Result<Self> {
         settings.check()?;
+        check_precision(settings.precision, device)?;
         let config = RefinerConfig::preset(&settings.preset)?;
-        let device = Device::flex().autodiff();
-        let parameters = match &settings.start {
+        let device = device.clone().autodiff();
+        let mut parameters = match &settings.start {
             Some(path) => {
                 let mut parameters = read_weights(path, &config, &device)?;
                 verify_parameters(&mut parameters, &config, settings.seed)?;
@@ -78,6 +80,7 @@ impl Stage2Trainer {
             }
             None => seeded_parameters(&config, settings.seed, &device)?,
         };
+        parameters.set_products(settings.precision.into());
         let perceptual = perceptual(settings.lpips.as_deref(), &device)?;
         let optimiser = AdamW {
             weight_decay: settings.weight_decay,
@@ -91,6 +94,10 @@ impl Stage2Trainer {
             optimiser,
             perceptual,
         })
+    }
+
+    fn lifter(&self) -> Result<Lifter> {
+        Lifter::load(&self.settings.lift, self.parameters.device())
     }
 
     fn params(&self, updates: u32) -> RefineParams {
@@ -154,7 +161,7 @@ impl Course for Stage2Trainer {
     }
 
     fn stream(&self) -> Result<Stream<LiftedClip>> {
-        let (settings, lifter) = (self.settings.clone(), Lifter::load(&self.settings.lift)?);
+        let (settings, lifter) = (self.settings.clone(), self.lifter()?);
         Ok(Stream::start(self.step()..settings.steps, move |step| {
             let data = &settings.data;
             let mut random = Pcg64::from_seeds(&[settings.seed, 2, step]);
@@ -227,7 +234,7 @@ impl Course for Stage2Trainer {
             },
             warnings: Vec::new(),
         };
-        let lifter = Lifter::load(&settings.lift)?;
+        let lifter = self.lifter()?;
         for index in 0..settings.evaluation_clips {
             let plan = ClipPlan::evaluation(settings.data.held_out_seed + index, &settings.data);
             let lifted = lifter.lift(&plan, &settings.data)?;

@@ -5,26 +5,27 @@ use burn::tensor::Tensor;
 
 use super::weight_gradient::{Maps, weight_gradient};
 use super::{INPUTS, InputGradients, Operation, of_three};
-use crate::kernels::{After, Conv3x3};
+use crate::kernels::{After, Conv3x3, Precision};
 
 /// Taps of a kernel.
 const TAPS: usize = 9;
 
 /// Convolves. `input [B, in, H, W]`, `weight [out, in, 3, 3]`, `bias [out]`
-pub(crate) fn convolve(input: Tensor<4>, weight: Tensor<4>, bias: Tensor<1>) -> Tensor<4> {
+pub(crate) fn convolve(input: Tensor<4>, weight: Tensor<4>, bias: Tensor<1>, products: Precision) -> Tensor<4> {
     let ([images, inputs, height, width], [outputs, ..]) = (input.dims(), weight.dims());
     let maps = Maps {
         inputs,
         outputs,
         height,
         width,
+        products,
     };
     of_three(input, weight, bias, [images, outputs, height, width], maps)
 }
 
 impl Operation for Maps {
     fn forward(&self, [input, weight, bias]: [&[f32]; INPUTS]) -> Vec<f32> {
-        let conv = Conv3x3::new(weight, bias, self.outputs, self.inputs);
+        let conv = Conv3x3::new(weight, bias, self.outputs, self.inputs, self.products);
         conv.run(input, [self.height, self.width], false, After::Nothing, None)
     }
 
@@ -40,6 +41,7 @@ impl Operation for Maps {
                 &[],
                 self.inputs,
                 self.outputs,
+                self.products,
             );
             conv.run(gradient, [self.height, self.width], false, After::Nothing, None)
         });

@@ -14,19 +14,31 @@ const TASK_OUTPUTS: usize = 96;
 struct Layer {
     inputs: usize,
     outputs: usize,
+    /// Numbers that products are made of.
+    products: Precision,
 }
 
 /// The layer on the last dimension. `[..., in] -> [..., out]`, `weight [out, in]`, `bias [out]`
-pub(crate) fn linear<const D: usize>(input: Tensor<D>, weight: Tensor<2>, bias: Tensor<1>) -> Tensor<D> {
+pub(crate) fn linear<const D: usize>(
+    input: Tensor<D>,
+    weight: Tensor<2>,
+    bias: Tensor<1>,
+    products: Precision,
+) -> Tensor<D> {
     let [outputs, inputs] = weight.dims();
     let mut shape = input.dims();
     shape[D - 1] = outputs;
-    of_three(input, weight, bias, shape, Layer { inputs, outputs })
+    let layer = Layer {
+        inputs,
+        outputs,
+        products,
+    };
+    of_three(input, weight, bias, shape, layer)
 }
 
 impl Operation for Layer {
     fn forward(&self, [input, weight, bias]: [&[f32]; INPUTS]) -> Vec<f32> {
-        PackedWeight::new(weight, self.inputs, Precision::F32).apply(
+        PackedWeight::new(weight, self.inputs, self.products).apply(
             input,
             #[inline(always)]
             |_, column, values| {
@@ -43,22 +55,32 @@ impl Operation for Layer {
         [input, weight, _]: [&[f32]; INPUTS],
         wanted: [bool; INPUTS],
     ) -> InputGradients {
-        let &Self { inputs, outputs } = self;
+        let &Self {
+            inputs,
+            outputs,
+            products,
+        } = self;
         let rows = gradient.len() / outputs.max(1);
         let of_input = wanted[0].then(|| {
-            let turned = PackedWeight::strided(weight, [inputs, outputs], [1, inputs], Precision::F32);
+            let turned = PackedWeight::strided(weight, [inputs, outputs], [1, inputs], products);
             turned.apply(gradient, |_, _, _| {})
         });
-        let of_weight = wanted[1].then(|| {
-            let mut sums = vec![0.0f32; outputs * inputs];
-            sums.par_chunks_mut((TASK_OUTPUTS * inputs).max(1))
-                .enumerate()
-                .for_each(|(task, sums)| {
-                    let sizes = [sums.len() / inputs, inputs, rows];
-                    let gradient = &gradient[task * TASK_OUTPUTS..];
-                    product(sizes, (sums, inputs, false), (gradient, 1, outputs), (input, inputs, 1));
-                });
-            sums
+        let of_weight = wanted[1].then(|| match products {
+            Precision::F32 => {
+                let mut sums = vec![0.0f32; outputs * inputs];
+                sums.par_chunks_mut((TASK_OUTPUTS * inputs).max(1))
+                    .enumerate()
+                    .for_each(|(task, sums)| {
+                        let sizes = [sums.len() / inputs, inputs, rows];
+                        let gradient = &gradient[task * TASK_OUTPUTS..];
+                        product(sizes, (sums, inputs, false), (gradient, 1, outputs), (input, inputs, 1));
+                    });
+                sums
+            }
+            Precision::Bf16 => {
+                let input = PackedWeight::strided(input, [inputs, rows], [1, inputs], products);
+                input.apply(&turned(gradient, rows, outputs), |_, _, _| {})
+            }
         });
         let of_bias = wanted[2].then(|| {
             let mut sums = vec![0.0f64; outputs];
@@ -71,4 +93,22 @@ impl Operation for Layer {
         });
         [of_input, of_weight, of_bias]
     }
+}
+
+/// The transpose of a matrix. `[rows, columns] -> [columns, rows]`
+fn turned(matrix: &[f32], rows: usize, columns: usize) -> Vec<f32> {
+    /// Columns whose results are written side by side.
+    const BLOCK: usize = 16;
+    let mut turned = vec![0.0; matrix.len()];
+    turned
+        .par_chunks_mut((BLOCK * rows).max(1))
+        .enumerate()
+        .for_each(|(block, out)| {
+            for (row, values) in matrix.chunks_exact(columns.max(1)).enumerate() {
+                for (out, &value) in out.chunks_exact_mut(rows).zip(&values[block * BLOCK..]) {
+                    out[row] = value;
+                }
+            }
+        });
+    turned
 }

@@ -13,7 +13,7 @@ mod linear;
 mod products;
 mod resize;
 mod rotary;
-mod weight_gradient;
+pub(in crate::kernels) mod weight_gradient;
 
 use std::fmt;
 use std::sync::Arc;

@@ -4,6 +4,7 @@ use burn::tensor::ops::{AttentionModuleOptions, ConvOptions, InterpolateMode, In
 use burn::tensor::{Device, Tensor, activation, module};
 
 use super::*;
+use crate::kernels::Precision;
 use crate::parameters::{from_host, to_host};
 use crate::stage1::positions::{RotaryTable, token_positions};
 
@@ -48,7 +49,7 @@ fn convolutions_equal_those_of_the_framework() {
         assert!(usable(&input) && usable(&weight));
         let options = ConvOptions::new([1, 1], [1, 1], [1, 1], 1);
         same(
-            convolve(input.clone(), weight.clone(), bias.clone()),
+            convolve(input.clone(), weight.clone(), bias.clone(), Precision::F32),
             module::conv2d(input.clone(), weight.clone(), Some(bias.clone()), options),
             &[("input", &of(&input)), ("weight", &of(&weight)), ("bias", &of(&bias))],
         );
@@ -69,8 +70,46 @@ fn linear_layers_equal_those_of_the_framework() {
             .matmul(weight.clone().transpose())
             + bias.clone().unsqueeze();
         same(
-            linear(input.clone(), weight.clone(), bias.clone()),
+            linear(input.clone(), weight.clone(), bias.clone(), Precision::F32),
             other.reshape([batch, rows, outputs]),
+            &[("input", &of(&input)), ("weight", &of(&weight)), ("bias", &of(&bias))],
+        );
+    }
+}
+
+/// Values and slopes that bfloat16 holds exactly, so that only the order of sums differs from products in f32.
+#[test]
+fn products_of_bfloat16_equal_those_of_f32_on_its_own_numbers() {
+    fn coarse<const D: usize>(shape: [usize; D], seed: usize) -> Tensor<D> {
+        let count = shape.iter().product::<usize>();
+        let values = (0..count).map(|k| ((k * 7919 + seed * 104_729) % 1009 % 129) as f32 / 64.0 - 1.0);
+        from_host(values.collect(), shape, &Device::flex().autodiff()).require_grad()
+    }
+    fn both<const R: usize>(run: impl Fn(Precision) -> Tensor<R>, inputs: &[(&str, GradientOf<'_>)]) {
+        let (own, other) = (run(Precision::Bf16), run(Precision::F32));
+        close(to_host(own.clone()).unwrap(), to_host(other.clone()).unwrap(), "value");
+        let slope = coarse(own.dims(), 99).detach();
+        let (own, other) = ((own * slope.clone()).sum().backward(), (other * slope).sum().backward());
+        for (what, gradient) in inputs {
+            close(gradient(&own), gradient(&other), what);
+        }
+    }
+    for [rows, inputs, outputs] in [[1, 1, 1], [7, 33, 40], [450, 64, 200]] {
+        let (input, weight, bias) = (
+            coarse([rows, inputs], 1),
+            coarse([outputs, inputs], 2),
+            coarse([outputs], 3),
+        );
+        both(
+            |products| linear(input.clone(), weight.clone(), bias.clone(), products),
+            &[("input", &of(&input)), ("weight", &of(&weight)), ("bias", &of(&bias))],
+        );
+    }
+    for [images, inputs, outputs, height, width] in [[1, 1, 1, 1, 1], [2, 3, 5, 7, 33], [3, 16, 9, 40, 19]] {
+        let input = coarse([images, inputs, height, width], 1);
+        let (weight, bias) = (coarse([outputs, inputs, 3, 3], 2), coarse([outputs], 3));
+        both(
+            |products| convolve(input.clone(), weight.clone(), bias.clone(), products),
             &[("input", &of(&input)), ("weight", &of(&weight)), ("bias", &of(&bias))],
         );
     }

@@ -6,14 +6,16 @@
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
+use crate::kernels::{Precision, weight_pairs};
+
 /// Outputs whose sums are in registers.
-const OUTPUTS: usize = 4;
+pub(in crate::kernels) const OUTPUTS: usize = 4;
 /// Inputs whose sums are in registers.
-const INPUTS: usize = 2;
+pub(in crate::kernels) const INPUTS: usize = 2;
 /// Columns of a row of taps, and rows of taps.
-const SIDE: usize = 3;
-/// Widest vector of any instruction set, for padding.
-const MAX_LANES: usize = 16;
+pub(in crate::kernels) const SIDE: usize = 3;
+/// Numbers of the widest vector of any instruction set, for padding.
+const MAX_LANES: usize = 32;
 /// Tiles of a task.
 const TILES: usize = 8;
 
@@ -24,43 +26,35 @@ pub(super) struct Maps {
     pub(super) outputs: usize,
     pub(super) height: usize,
     pub(super) width: usize,
+    /// Numbers that products are made of.
+    pub(super) products: Precision,
 }
+
+/// Sums of a tile.
+pub(in crate::kernels) type Sums = [[[f32; SIDE]; INPUTS]; OUTPUTS];
 
 /// Sums over images and pixels, image by image. `gradient [B, out, H, W]`, `input [B, in, H, W]`; `[out, in, 3, 3]`
 pub(super) fn weight_gradient(gradient: &[f32], input: &[f32], maps: Maps) -> Vec<f32> {
-    let Maps {
-        inputs,
-        outputs,
-        height,
-        width,
-    } = maps;
-    let area = height * width;
+    let Maps { inputs, outputs, .. } = maps;
+    let area = maps.height * maps.width;
     let mut sums = vec![0.0f64; outputs * inputs * SIDE * SIDE];
     let images = gradient
         .chunks_exact((outputs * area).max(1))
         .zip(input.chunks_exact((inputs * area).max(1)));
     let across = inputs.div_ceil(INPUTS);
     for (gradient, input) in images {
-        let (gradient, input) = (Padded::new(gradient, maps, 0), Padded::new(input, maps, 1));
-        let tiles: Vec<[[[f32; SIDE]; INPUTS]; OUTPUTS]> = (0..outputs.div_ceil(OUTPUTS) * across * SIDE)
-            .into_par_iter()
-            .with_min_len(TILES)
-            .map(|tile| {
-                let (first, row) = (
-                    [tile / SIDE / across * OUTPUTS, tile / SIDE % across * INPUTS],
-                    tile % SIDE,
-                );
-                // Channels beyond the last are the last one again; nobody reads their sums.
-                let kernel = Tile {
-                    gradient: std::array::from_fn(|k| gradient.plane((first[0] + k).min(outputs - 1))),
-                    input: std::array::from_fn(|k| input.plane((first[1] + k).min(inputs - 1))),
-                    strides: [gradient.stride, input.stride],
-                    row,
-                    size: [height, width],
-                };
-                Arch::new().dispatch(kernel)
-            })
-            .collect();
+        let tiles = match maps.products {
+            Precision::F32 => {
+                let padded = |image, margin| Padded::new(image, maps, margin, |value| value);
+                tiles(&padded(gradient, 0), &padded(input, 1), maps, |tile| {
+                    Arch::new().dispatch(tile)
+                })
+            }
+            Precision::Bf16 => {
+                let padded = |image, margin| Padded::new(image, maps, margin, weight_pairs::number);
+                tiles(&padded(gradient, 0), &padded(input, 1), maps, weight_pairs::sums)
+            }
+        };
         for (tile, values) in tiles.iter().enumerate() {
             let (first, row) = (
                 [tile / SIDE / across * OUTPUTS, tile / SIDE % across * INPUTS],
@@ -80,47 +74,80 @@ pub(super) fn weight_gradient(gradient: &[f32], input: &[f32], maps: Maps) -> Ve
     sums.into_iter().map(|sum| sum as f32).collect()
 }
 
+/// The sums of all tiles of an image.
+fn tiles<T: Sync>(
+    gradient: &Padded<T>,
+    input: &Padded<T>,
+    maps: Maps,
+    sums: impl Fn(Tile<'_, T>) -> Sums + Sync,
+) -> Vec<Sums> {
+    let Maps { inputs, outputs, .. } = maps;
+    let across = inputs.div_ceil(INPUTS);
+    (0..outputs.div_ceil(OUTPUTS) * across * SIDE)
+        .into_par_iter()
+        .with_min_len(TILES)
+        .map(|tile| {
+            let first = [tile / SIDE / across * OUTPUTS, tile / SIDE % across * INPUTS];
+            // Channels beyond the last are the last one again; nobody reads their sums.
+            sums(Tile {
+                gradient: std::array::from_fn(|k| gradient.plane((first[0] + k).min(outputs - 1))),
+                input: std::array::from_fn(|k| input.plane((first[1] + k).min(inputs - 1))),
+                strides: [gradient.stride, input.stride],
+                row: tile % SIDE,
+                size: [maps.height, maps.width],
+            })
+        })
+        .collect()
+}
+
 /// The planes of an image with zeros around: `margin` rows and columns, and what whole vectors read beyond the last column.
-struct Padded {
-    values: Vec<f32>,
+struct Padded<T> {
+    values: Vec<T>,
     plane: usize,
     stride: usize,
 }
 
-impl Padded {
-    fn new(image: &[f32], maps: Maps, margin: usize) -> Self {
+impl<T: Copy + Default + Send> Padded<T> {
+    fn new(image: &[f32], maps: Maps, margin: usize, number: impl Fn(f32) -> T + Sync) -> Self {
         let Maps { height, width, .. } = maps;
         let stride = width.next_multiple_of(MAX_LANES) + 2 * margin;
         let plane = (height + 2 * margin) * stride;
-        let mut values = vec![0.0f32; image.len() / (height * width).max(1) * plane];
+        let mut values = vec![T::default(); image.len() / (height * width).max(1) * plane];
         values
             .par_chunks_mut(plane.max(1))
             .zip(image.par_chunks((height * width).max(1)))
             .for_each(|(out, image)| {
                 let rows = out.chunks_exact_mut(stride).skip(margin);
                 for (out, row) in rows.zip(image.chunks_exact(width.max(1))) {
-                    out[margin..margin + width].copy_from_slice(row);
+                    (out[margin..].iter_mut().zip(row)).for_each(|(out, &value)| *out = number(value));
                 }
             });
         Self { values, plane, stride }
     }
+}
 
-    fn plane(&self, channel: usize) -> &[f32] {
+impl<T> Padded<T> {
+    fn plane(&self, channel: usize) -> &[T] {
         &self.values[channel * self.plane..][..self.plane]
     }
 }
 
 /// One row of taps of a few outputs and inputs.
-struct Tile<'a> {
-    gradient: [&'a [f32]; OUTPUTS],
-    input: [&'a [f32]; INPUTS],
-    strides: [usize; 2],
-    row: usize,
-    size: [usize; 2],
+pub(in crate::kernels) struct Tile<'a, T> {
+    /// Planes of the result's gradient.
+    pub(in crate::kernels) gradient: [&'a [T]; OUTPUTS],
+    /// Planes of the input, with a row and a column of zeros around.
+    pub(in crate::kernels) input: [&'a [T]; INPUTS],
+    /// Distances of rows in the two.
+    pub(in crate::kernels) strides: [usize; 2],
+    /// The row of taps.
+    pub(in crate::kernels) row: usize,
+    /// Height and width of the maps.
+    pub(in crate::kernels) size: [usize; 2],
 }
 
-impl WithSimd for Tile<'_> {
-    type Output = [[[f32; SIDE]; INPUTS]; OUTPUTS];
+impl WithSimd for Tile<'_, f32> {
+    type Output = Sums;
 
     // Indices in plain loops: what takes a closure to an array is compiled apart from it, without vectors.
     #[allow(clippy::needless_range_loop)]
