@@ -149,6 +149,13 @@ mod x86 {
     use crate::kernels::bf16::{as_pairs, is_available};
     use crate::kernels::product::for_rows;
 
+    /// Repeats code for every channel of a tile, as [`for_rows`] does for rows.
+    macro_rules! for_channels {
+        (|$channel:ident| $body:block) => {
+            for_rows!(@ $channel $body 0 1 2 3 4 5 6 7)
+        };
+    }
+
     /// Sums one tile; only where [`is_available`].
     pub(super) fn tile<const V: usize>(map: &Pairs, weights: &[u32], bias: &[f32], place: usize) -> Sums<V> {
         assert!(is_available() && bias.len() >= TILE);
@@ -165,10 +172,8 @@ mod x86 {
     #[target_feature(enable = "avx512f,avx512bf16")]
     unsafe fn fill<const V: usize>(map: &Pairs, weights: &[u32], bias: &[f32], place: usize, sums: &mut Sums<V>) {
         let mut total = [[_mm512_set1_ps(0.0); V]; TILE];
-        for_rows!(|ROW| {
-            if ROW < TILE {
-                total[ROW] = [_mm512_set1_ps(bias[ROW]); V];
-            }
+        for_channels!(|CHANNEL| {
+            total[CHANNEL] = [_mm512_set1_ps(bias[CHANNEL]); V];
         });
         for (pair, weights) in weights.chunks_exact(TAPS * TILE).enumerate() {
             let plane = &map.values[pair * map.plane..][..map.plane];
@@ -180,22 +185,18 @@ mod x86 {
                     let bits = unsafe { _mm512_loadu_si512(plane.as_ptr().add(first + vector * LANES).cast()) };
                     values[vector] = as_pairs(bits);
                 }
-                for_rows!(|ROW| {
-                    if ROW < TILE {
-                        let weight = as_pairs(_mm512_set1_epi32(weights[ROW].cast_signed()));
-                        for vector in 0..V {
-                            total[ROW][vector] = _mm512_dpbf16_ps(total[ROW][vector], weight, values[vector]);
-                        }
+                for_channels!(|CHANNEL| {
+                    let weight = as_pairs(_mm512_set1_epi32(weights[CHANNEL].cast_signed()));
+                    for vector in 0..V {
+                        total[CHANNEL][vector] = _mm512_dpbf16_ps(total[CHANNEL][vector], weight, values[vector]);
                     }
                 });
             }
         }
-        for_rows!(|ROW| {
-            if ROW < TILE {
-                for vector in 0..V {
-                    // SAFETY: sixteen sums.
-                    unsafe { _mm512_storeu_ps(sums[ROW][vector].as_mut_ptr(), total[ROW][vector]) };
-                }
+        for_channels!(|CHANNEL| {
+            for vector in 0..V {
+                // SAFETY: sixteen sums.
+                unsafe { _mm512_storeu_ps(sums[CHANNEL][vector].as_mut_ptr(), total[CHANNEL][vector]) };
             }
         });
     }
