@@ -377,6 +377,19 @@ pub(crate) fn check_precision(precision: Numbers, device: &Device) -> Result<()>
     Ok(())
 }
 
+/// Refuses a device on which the dense heads cannot be differentiated: the framework has no gradient of bilinear resampling
+/// on graphics processors, and would panic.
+pub(crate) fn check_device(device: &Device) -> Result<()> {
+    if device::is_cpu(device) {
+        return Ok(());
+    }
+    Err(Error::Setting {
+        what: "--device",
+        value: "gpu".into(),
+        rule: "`cpu` for Stage 1 and the latent adapter; only Stage 2 trains on a graphics processor so far",
+    })
+}
+
 /// A path that still holds when the settings lie in a run's folder.
 pub(crate) fn absolute(path: &Path) -> Result<PathBuf> {
     std::path::absolute(path).map_err(Error::io(path))

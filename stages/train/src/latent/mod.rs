@@ -20,7 +20,7 @@ pub use self::clips::LatentClip;
 use self::clips::Place;
 pub use self::settings::{LatentLosses, LatentTraining};
 use crate::checkpoint::State;
-use crate::config::check_precision;
+use crate::config::check_device;
 use crate::error::{Error, Result};
 use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
 use crate::segments::Segments;
@@ -47,7 +47,7 @@ impl LatentTrainer {
     /// When settings are wrong, weights cannot be read or do not fit each other, or there is nothing to train on.
     pub fn new(settings: LatentTraining, device: &Device) -> Result<Self> {
         settings.check()?;
-        check_precision(settings.precision, device)?;
+        check_device(device)?;
         let device = device.clone().autodiff();
         let mut network = checkpoint::open_stage1(&settings.lift, &device)?.network;
         let mut adapter = match &settings.start {

@@ -20,7 +20,7 @@ use rogs_networks::stage1::Stage1;
 use rogs_random::Pcg64;
 
 use crate::checkpoint::State;
-use crate::config::{Stage1Training, check_precision};
+use crate::config::{Stage1Training, check_device};
 use crate::error::{Error, Result};
 use crate::perceptual::perceptual;
 use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
@@ -53,7 +53,7 @@ impl Stage1Trainer {
     /// When settings are wrong or the checkpoint to start from cannot be opened.
     pub fn new(settings: Stage1Training, device: &Device) -> Result<Self> {
         settings.check()?;
-        check_precision(settings.precision, device)?;
+        check_device(device)?;
         let device = device.clone().autodiff();
         let mut start = start::start(&settings, &device)?;
         start.network.parameters.set_products(settings.precision.into());
