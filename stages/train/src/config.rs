@@ -3,9 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use burn::tensor::Device;
 use rogs_lift::Numbers;
-use rogs_networks::device;
 use rogs_networks::stage1::Stage1Config;
 use serde::{Deserialize, Serialize};
 
@@ -38,7 +36,7 @@ pub struct Stage1Training {
     /// more time.
     pub gradient_checkpointing: bool,
     /// Numbers of the products of linear layers and 3x3 convolutions, forwards and backwards: `f32`, or `bf16` with sums in
-    /// f32. Parameters, moments and everything else stay f32. `bf16` is for the CPU.
+    /// f32. Parameters, moments and everything else stay f32.
     pub precision: Numbers,
     /// Where clips come from.
     pub data: DataSettings,
@@ -363,31 +361,6 @@ impl DataSettings {
         }
         Ok(())
     }
-}
-
-/// Refuses numbers that the kernels of a device do not have.
-pub(crate) fn check_precision(precision: Numbers, device: &Device) -> Result<()> {
-    if precision != Numbers::F32 && !device::is_cpu(device) {
-        return Err(Error::Setting {
-            what: "precision",
-            value: "bf16".into(),
-            rule: "`f32` with `--device gpu`",
-        });
-    }
-    Ok(())
-}
-
-/// Refuses a device on which the dense heads cannot be differentiated: the framework has no gradient of bilinear resampling
-/// on graphics processors, and would panic.
-pub(crate) fn check_device(device: &Device) -> Result<()> {
-    if device::is_cpu(device) {
-        return Ok(());
-    }
-    Err(Error::Setting {
-        what: "--device",
-        value: "gpu".into(),
-        rule: "`cpu` for Stage 1 and the latent adapter; only Stage 2 trains on a graphics processor so far",
-    })
 }
 
 /// A path that still holds when the settings lie in a run's folder.

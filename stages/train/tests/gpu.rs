@@ -5,7 +5,7 @@
 use burn::tensor::Device;
 use rogs_networks::device;
 use rogs_train::config::DataSettings;
-use rogs_train::{Course, Stage1Trainer, Stage1Training, Stage2Trainer, Stage2Training, UpdateReport};
+use rogs_train::{Course, Stage2Trainer, Stage2Training, UpdateReport};
 
 /// Most by which a loss or a norm may differ, as a share of it.
 const TOLERANCE: f64 = 1e-3;
@@ -52,16 +52,6 @@ fn updates(mut trainer: impl Course, count: usize) -> Vec<UpdateReport> {
             trainer.update(&batch).unwrap()
         })
         .collect()
-}
-
-#[test]
-fn stage1_is_refused() {
-    let Some(gpu) = gpu() else { return };
-    let error = Stage1Trainer::new(Stage1Training::default(), &gpu)
-        .err()
-        .unwrap()
-        .to_string();
-    assert!(error.contains("--device") && error.contains("cpu"), "{error}");
 }
 
 #[test]

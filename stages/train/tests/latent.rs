@@ -1,6 +1,8 @@
 //! Training of the latent adapter on records as a run has them. Latents are made from the images here: what a tokenizer
 //! would say is nothing that this repository can make.
 
+mod support;
+
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -17,6 +19,7 @@ use rogs_train::plan::ClipPlan;
 use rogs_train::records::Records;
 use rogs_train::run::{Course, run};
 use rogs_train::{LatentTrainer, LatentTraining};
+use support::{difference, first_moments};
 
 const SIZE: [usize; 2] = [28, 42];
 /// Side of the image cell of a latent: that of a token.
@@ -156,11 +159,11 @@ fn a_resumed_run_equals_an_uninterrupted_one_and_its_adapter_lifts() {
         ..workspace(root.path())
     };
     let (whole, parts) = (root.path().join("whole"), root.path().join("parts"));
-    let mut trainer = LatentTrainer::new(settings.clone(), &Device::flex()).unwrap();
+    let mut trainer = LatentTrainer::new(settings.clone()).unwrap();
     run(&mut trainer, &whole, None, &mut |_| {}).unwrap();
     falls(&whole, &["feature", "log_depth"]);
     for stop in [6, 12] {
-        let mut trainer = LatentTrainer::new(settings.clone(), &Device::flex()).unwrap();
+        let mut trainer = LatentTrainer::new(settings.clone()).unwrap();
         run(&mut trainer, &parts, Some(stop), &mut |_| {}).unwrap();
     }
     let bytes = |folder: &Path, name: &str| std::fs::read(folder.join(name)).unwrap();
@@ -197,10 +200,10 @@ fn gradient_checkpointing_changes_no_gradient() {
             gradient_checkpointing,
             ..settings.clone()
         };
-        let mut trainer = LatentTrainer::new(settings, &Device::flex()).unwrap();
+        let mut trainer = LatentTrainer::new(settings).unwrap();
         let batch = trainer.stream().unwrap().next_item().unwrap().unwrap();
         let report = trainer.update(&batch).unwrap();
-        (report, trainer.moments().by_name.clone())
+        (report, first_moments(&trainer))
     };
     let ((whole, whole_moments), (parts, parts_moments)) = (update(false), update(true));
     assert_eq!(
@@ -208,17 +211,8 @@ fn gradient_checkpointing_changes_no_gradient() {
         parts.terms.keys().collect::<Vec<_>>()
     );
     assert!((whole.loss - parts.loss).abs() < 1e-5 * whole.loss);
-    let (mut square, mut difference) = (0.0, 0.0);
-    for (name, [first, _]) in &whole_moments {
-        for (a, b) in first.iter().zip(&parts_moments[name][0]) {
-            square += f64::from(*a).powi(2);
-            difference += f64::from(a - b).powi(2);
-        }
-    }
-    assert!(
-        square > 0.0 && difference.sqrt() < 1e-3 * square.sqrt(),
-        "{difference} {square}"
-    );
+    let found = difference(&whole_moments, &parts_moments);
+    assert!(found < 1e-3, "{found}");
 }
 
 #[test]
@@ -230,7 +224,7 @@ fn tokens_alone_are_aligned_without_the_network_behind_them_and_training_goes_on
         ..workspace(root.path())
     };
     let out = root.path().join("first");
-    let mut trainer = LatentTrainer::new(first.clone(), &Device::flex()).unwrap();
+    let mut trainer = LatentTrainer::new(first.clone()).unwrap();
     let scores = trainer.evaluate().unwrap().scores;
     assert_eq!(
         scores.keys().collect::<Vec<_>>(),
@@ -244,7 +238,7 @@ fn tokens_alone_are_aligned_without_the_network_behind_them_and_training_goes_on
         start: Some(out.join("model.safetensors")),
         ..first
     };
-    let trainer = LatentTrainer::new(second, &Device::flex()).unwrap();
+    let trainer = LatentTrainer::new(second).unwrap();
     assert!((trainer.evaluate().unwrap().scores["token"] - end).abs() < 1e-6);
 }
 
@@ -252,7 +246,7 @@ fn tokens_alone_are_aligned_without_the_network_behind_them_and_training_goes_on
 fn what_is_missing_or_does_not_fit_is_named() {
     let root = tempfile::tempdir().unwrap();
     let settings = workspace(root.path());
-    let refused = |settings: LatentTraining| LatentTrainer::new(settings, &Device::flex()).err().unwrap().to_string();
+    let refused = |settings: LatentTraining| LatentTrainer::new(settings).err().unwrap().to_string();
     let none = refused(LatentTraining {
         evaluation_clips: 3,
         ..settings.clone()
@@ -270,14 +264,11 @@ fn what_is_missing_or_does_not_fit_is_named() {
         settings.latents.join("b.safetensors"),
     )
     .unwrap();
-    let mut trainer = LatentTrainer::new(
-        LatentTraining {
-            steps: 16,
-            evaluation_clips: 0,
-            ..settings
-        },
-        &Device::flex(),
-    )
+    let mut trainer = LatentTrainer::new(LatentTraining {
+        steps: 16,
+        evaluation_clips: 0,
+        ..settings
+    })
     .unwrap();
     let error = run(&mut trainer, &root.path().join("out"), None, &mut |_| {}).unwrap_err();
     assert!(error.to_string().contains("b.safetensors"), "{error}");

@@ -1,5 +1,7 @@
 //! Training changes the network as its settings say, and a killed run goes on as if nothing had happened.
 
+mod support;
+
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -7,7 +9,6 @@ use burn::tensor::Device;
 use rogs_lift::Numbers;
 use rogs_networks::checkpoint::{ElementType, TensorSource, stage1_metadata, write};
 use rogs_networks::lpips::{LpipsTensors, LpipsWeights};
-use rogs_networks::optimiser::{self, Gradients};
 use rogs_networks::parameters::to_host;
 use rogs_networks::stage1::{Stage1, Stage1Config, seeded};
 use rogs_random::Pcg64;
@@ -16,10 +17,11 @@ use rogs_train::plan::ClipPlan;
 use rogs_train::run::run;
 use rogs_train::sample::Sample;
 use rogs_train::stage1::forward::{Heads, lift};
-use rogs_train::stage1::objective::{Losses, objective, on_copies};
+use rogs_train::stage1::objective::{Losses, objective};
 use rogs_train::stage1::start;
 use rogs_train::stream::batches;
 use rogs_train::{Course, Stage1Trainer, Stage1Training};
+use support::{difference, first_moments};
 
 /// No loss at all.
 const NONE: LossWeights = LossWeights {
@@ -68,12 +70,7 @@ fn train(
     stop_after: Option<u64>,
     say: &mut dyn FnMut(&str),
 ) -> rogs_train::Result<()> {
-    run(
-        &mut Stage1Trainer::new(settings.clone(), &Device::flex())?,
-        folder,
-        stop_after,
-        say,
-    )
+    run(&mut Stage1Trainer::new(settings.clone())?, folder, stop_after, say)
 }
 
 fn sample(settings: &Stage1Training, seed: u64) -> Sample {
@@ -137,7 +134,7 @@ fn updates_are_the_same_for_any_number_of_threads() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let batch = batches(&settings, 0).next_item().unwrap().unwrap();
-            let mut trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
+            let mut trainer = Stage1Trainer::new(settings.clone()).unwrap();
             let report = trainer.update(&batch).unwrap();
             let name = "backbone.depth_head.scratch.output_conv2.2.weight";
             (report, trainer.network.parameters.host(name).unwrap())
@@ -255,7 +252,7 @@ fn gradients_are_those_of_the_reported_loss() {
             _ => 0,
         };
         let value_with = |shift: f32| {
-            let mut trainer = Stage1Trainer::new(settings.clone(), &device).unwrap();
+            let mut trainer = Stage1Trainer::new(settings.clone()).unwrap();
             let shape = trainer.network.parameters.shape(name).unwrap().to_vec();
             let mut values = trainer.network.parameters.host(name).unwrap();
             // Away from zero: static pixels are at the kink of |x| before training.
@@ -296,9 +293,9 @@ fn gradient_checkpointing_changes_no_gradient() {
             };
             settings.optimiser.lora_rank = lora_rank;
             let batch = batches(&settings, 0).next_item().unwrap().unwrap();
-            let mut trainer = Stage1Trainer::new(settings, &Device::flex()).unwrap();
+            let mut trainer = Stage1Trainer::new(settings).unwrap();
             let report = trainer.update(&batch).unwrap();
-            (report, first_moments(trainer))
+            (report, first_moments(&trainer))
         };
         let ((whole, whole_moments), (parts, parts_moments)) = (update(false), update(true));
         assert!((whole.loss - parts.loss).abs() < 1e-5 * whole.loss);
@@ -308,60 +305,15 @@ fn gradient_checkpointing_changes_no_gradient() {
     }
 }
 
-/// Losses on copies of the outputs, as for a network on a graphics processor, give the gradients of losses on the outputs.
-#[test]
-fn losses_on_copies_of_the_outputs_change_no_gradient() {
-    let settings = tiny(1);
-    let clip = sample(&settings, 7);
-    let losses = Losses {
-        weights: &settings.losses,
-        perceptual: None,
-    };
-    let gradients = |copies: bool| {
-        let network = start::start(&settings, &Device::flex().autodiff()).unwrap().network;
-        let network = start::tracked(&network, &settings.optimiser).unwrap();
-        let lifted = lift(&network, &clip, true, Heads::All).unwrap();
-        let mut random = Pcg64::from_seed(3);
-        let judge = if copies { on_copies } else { objective };
-        let objective = judge(&clip, &lifted, losses, &mut random).unwrap();
-        (
-            objective.terms,
-            optimiser::gradients(&network.parameters, &objective.loss).unwrap(),
-        )
-    };
-    let ((terms, whole), (same_terms, parts)) = (gradients(false), gradients(true));
-    assert_eq!(terms, same_terms);
-    assert!(difference(&whole, &parts) < 1e-5, "{}", difference(&whole, &parts));
-}
-
-/// Norm of the difference of gradients over that of the first.
-fn difference(first: &Gradients, second: &Gradients) -> f64 {
-    assert!(first.keys().eq(second.keys()));
-    let (mut square, mut difference) = (0.0, 0.0);
-    for (name, values) in first {
-        for (a, b) in values.iter().zip(&second[name]) {
-            square += f64::from(*a).powi(2);
-            difference += f64::from(a - b).powi(2);
-        }
-    }
-    (difference / square).sqrt()
-}
-
-/// The first moments after one update: a constant times the gradient.
-fn first_moments(trainer: Stage1Trainer) -> Gradients {
-    let moments = trainer.moments.by_name.into_iter();
-    moments.map(|(name, [first, _])| (name, first)).collect()
-}
-
 /// Products of bfloat16 are another rounding, not another course.
 #[test]
 fn products_of_bfloat16_hardly_change_an_update() {
     let update = |precision| {
         let settings = Stage1Training { precision, ..tiny(1) };
         let batch = batches(&settings, 0).next_item().unwrap().unwrap();
-        let mut trainer = Stage1Trainer::new(settings, &Device::flex()).unwrap();
+        let mut trainer = Stage1Trainer::new(settings).unwrap();
         let report = trainer.update(&batch).unwrap();
-        (report, first_moments(trainer))
+        (report, first_moments(&trainer))
     };
     let ((single, singles), (rounded, roundeds)) = (update(Numbers::F32), update(Numbers::Bf16));
     assert!(single.loss != rounded.loss);
@@ -380,7 +332,7 @@ fn a_network_learns_one_clip() {
     let mut settings = tiny(12);
     (settings.optimiser.rate, settings.optimiser.head_rate) = (4e-3, 4e-3);
     let clip = sample(&settings, 99);
-    let mut trainer = Stage1Trainer::new(settings, &Device::flex()).unwrap();
+    let mut trainer = Stage1Trainer::new(settings).unwrap();
     let mut losses = Vec::new();
     for step in 0..12 {
         let batch = rogs_train::stream::Batch {
@@ -423,7 +375,7 @@ fn a_checkpoint_without_a_stem_gets_one_that_says_nothing_yet() {
         start: Some(path),
         ..tiny(1)
     };
-    let mut trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
+    let mut trainer = Stage1Trainer::new(settings.clone()).unwrap();
     assert_eq!(trainer.network.config, Stage1Config::compact());
     let clip = sample(&settings, 99);
     let depth = |network: &Stage1| to_host(lift(network, &clip, true, Heads::Depth).unwrap().depth).unwrap();
@@ -452,7 +404,7 @@ fn losses_of_the_depth_head_alone_train_no_other_head() {
         ..NONE
     };
     let batch = batches(&settings, 0).next_item().unwrap().unwrap();
-    let mut trainer = Stage1Trainer::new(settings, &Device::flex()).unwrap();
+    let mut trainer = Stage1Trainer::new(settings).unwrap();
     let report = trainer.update(&batch).unwrap();
     assert_eq!(report.terms.keys().collect::<Vec<_>>(), ["depth_head", "stereo"]);
     let trained: Vec<&String> = trainer.moments.by_name.keys().collect();
@@ -466,7 +418,7 @@ fn only_the_chosen_parameters_are_trained() {
     let mut settings = tiny(1);
     settings.optimiser.lora_rank = 4;
     let batch = batches(&settings, 0).next_item().unwrap().unwrap();
-    let mut trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
+    let mut trainer = Stage1Trainer::new(settings.clone()).unwrap();
     let before: Vec<_> = trainer.network.parameters.names();
     let values = |trainer: &Stage1Trainer, name: &str| trainer.network.parameters.host(name).unwrap();
     let old: Vec<Vec<f32>> = before.iter().map(|name| values(&trainer, name)).collect();

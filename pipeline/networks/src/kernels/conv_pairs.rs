@@ -1,7 +1,7 @@
 //! The sums of a 3x3 convolution on numbers rounded to bfloat16, in pairs of input channels: half the instructions of the
 //! f32 kernel where the processor has AVX512_BF16, the same bits in portable code elsewhere (see [`super::bf16`]).
 
-use super::bf16::{multiply_add, pair};
+use super::bf16::{multiply_add, pack_two, pair};
 use super::conv::{Band, TILE};
 use super::vectorised;
 
@@ -40,21 +40,11 @@ impl Pairs {
     fn new(band: &Band) -> Self {
         let (plane, inputs) = (band.plane(), band.values().len() / band.plane().max(1));
         let mut values = vec![0u32; inputs.div_ceil(2) * plane];
-        vectorised(
-            #[inline(always)]
-            || {
-                for (out, channels) in values.chunks_exact_mut(plane).zip(band.values().chunks(2 * plane)) {
-                    let (first, second) = channels.split_at(plane);
-                    if second.is_empty() {
-                        out.iter_mut().zip(first).for_each(|(out, a)| *out = pair(*a, 0.0));
-                    } else {
-                        for ((out, a), b) in out.iter_mut().zip(first).zip(second) {
-                            *out = pair(*a, *b);
-                        }
-                    }
-                }
-            },
-        );
+        let zeros = vec![0.0; plane];
+        for (out, channels) in values.chunks_exact_mut(plane).zip(band.values().chunks(2 * plane)) {
+            let (first, second) = channels.split_at(plane);
+            pack_two(first, if second.is_empty() { &zeros } else { second }, out);
+        }
         Self {
             values,
             plane,

@@ -13,8 +13,8 @@ pub(crate) mod differentiable;
 mod extension;
 mod pointwise;
 mod product;
+mod transpose;
 mod vectorised;
-mod weight_pairs;
 mod winograd;
 
 pub(crate) use attention::{HeadNorm, PackedAttention};

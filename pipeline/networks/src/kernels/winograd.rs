@@ -7,6 +7,7 @@
 
 use rayon::prelude::*;
 
+use super::transpose::transposed;
 use super::{After, PackedWeight, Precision, vectorised};
 use crate::{Error, Result};
 
@@ -80,7 +81,12 @@ impl Winograd {
         let mut result = vec![0.0; input.len() / self.inputs * self.outputs];
         let images = input.chunks_exact(self.inputs * area);
         for (image, (input, result)) in images.zip(result.chunks_exact_mut(self.outputs * area)).enumerate() {
-            let map = channels_last(input, self.inputs, rectify);
+            // Channels last.
+            let map = if rectify {
+                transposed(input, self.inputs, |value| value.max(0.0))
+            } else {
+                transposed(input, self.inputs, |value| value)
+            };
             let mut sums = vec![0.0; self.outputs * area];
             self.add_to(&map, size, &mut sums);
             let residual = residual.map(|residual| &residual[image * result.len()..][..result.len()]);
@@ -286,23 +292,6 @@ fn transformed_kernel(kernel: &[f32]) -> [f64; POINTS] {
         }
         total
     })
-}
-
-/// Planar maps with channels last, negative values as zero where asked for. `[channels, area] -> [area, channels]`
-fn channels_last(planar: &[f32], channels: usize, rectify: bool) -> Vec<f32> {
-    let area = planar.len() / channels;
-    let mut out = vec![0.0; planar.len()];
-    out.par_chunks_mut(LANES * channels)
-        .enumerate()
-        .for_each(|(piece, out)| {
-            let count = out.len() / channels;
-            for (channel, plane) in planar.chunks_exact(area).enumerate() {
-                for (pixel, value) in plane[piece * LANES..][..count].iter().enumerate() {
-                    out[pixel * channels + channel] = if rectify { value.max(0.0) } else { *value };
-                }
-            }
-        });
-    out
 }
 
 #[cfg(test)]

@@ -20,7 +20,6 @@ pub use self::clips::LatentClip;
 use self::clips::Place;
 pub use self::settings::{LatentLosses, LatentTraining};
 use crate::checkpoint::State;
-use crate::config::check_device;
 use crate::error::{Error, Result};
 use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
 use crate::segments::Segments;
@@ -41,14 +40,13 @@ pub struct LatentTrainer {
 }
 
 impl LatentTrainer {
-    /// A run before its first update, on a device of its own kind with gradients.
+    /// A run before its first update, on the CPU, as Stage 1.
     ///
     /// # Errors
     /// When settings are wrong, weights cannot be read or do not fit each other, or there is nothing to train on.
-    pub fn new(settings: LatentTraining, device: &Device) -> Result<Self> {
+    pub fn new(settings: LatentTraining) -> Result<Self> {
         settings.check()?;
-        check_device(device)?;
-        let device = device.clone().autodiff();
+        let device = Device::flex().autodiff();
         let mut network = checkpoint::open_stage1(&settings.lift, &device)?.network;
         let mut adapter = match &settings.start {
             Some(path) => started(open_adapter(path, &device)?, &network)?,
@@ -131,10 +129,7 @@ impl LatentTrainer {
         if let Some(behind) = &pass.visual.behind {
             if self.settings.gradient_checkpointing {
                 let of_network = self.through_segments(&pass, behind, &mut sum)?;
-                sum.loss = match (sum.loss.take(), of_network) {
-                    (Some(loss), Some(of_network)) => Some(loss + of_network),
-                    (loss, of_network) => loss.or(of_network),
-                };
+                sum.loss = (sum.loss.into_iter().chain(of_network)).reduce(|loss, term| loss + term);
             } else {
                 let latent = network.encode_tokens(&pass.frames, pass.tokens.clone())?;
                 sum.add(self.network_terms(network, &latent, behind)?)?;

@@ -79,8 +79,8 @@ pub(super) fn evaluate(network: &Stage1, settings: &Stage1Training) -> Result<Ev
 /// | `robot_epe_unconditioned_mm` | the same with all conditioning maps zero |
 /// | `object_epe_mm` | the same at pixels of objects |
 fn score(network: &Stage1, sample: &Sample) -> Result<Scored> {
-    let lifted = lift(network, sample, true, Heads::All)?.on_cpu()?;
-    let bare = lift(network, sample, false, Heads::All)?.on_cpu()?;
+    let lifted = lift(network, sample, true, Heads::All)?;
+    let bare = lift(network, sample, false, Heads::All)?;
     let mut means = Means::default();
     let depth = to_host(lifted.depth.clone())?;
     for pixel in 0..depth.len() {

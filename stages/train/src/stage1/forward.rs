@@ -1,8 +1,7 @@
 //! One differentiable pass of the network over a clip.
 
-use burn::tensor::{Device, Gradients, Tensor};
-use rogs_networks::device;
-use rogs_networks::parameters::{from_host, to_host};
+use burn::tensor::{Device, Tensor};
+use rogs_networks::parameters::from_host;
 use rogs_networks::render::{ColourTensor, GaussianTensors};
 use rogs_networks::stage1::decode::{DEPTH_RANGE_IU, MotionGates, activate_attributes, gate_attributes};
 use rogs_networks::stage1::{Attention, Encoded, HeadKind, SourceFrames, Stage1};
@@ -31,77 +30,6 @@ pub struct LiftedQuery {
     pub displacement: Tensor<4>,
     /// Raw attributes at the query time after the gates. `[S, 12, H, W]`
     pub raw: Tensor<4>,
-}
-
-impl Lifted {
-    /// These outputs where they lie on the CPU, else copies of them there, without gradients.
-    ///
-    /// # Errors
-    /// When a device cannot hand over values.
-    pub fn on_cpu(self) -> Result<Self> {
-        if device::is_cpu(&self.depth.device()) {
-            return Ok(self);
-        }
-        self.leaves_on(&Device::flex())
-    }
-
-    /// The same values on another device, as leaves of their own where it records gradients.
-    ///
-    /// # Errors
-    /// When a device cannot hand over values.
-    pub fn leaves_on(&self, device: &Device) -> Result<Self> {
-        let queries = self.queries.iter().map(|query| {
-            Ok(LiftedQuery {
-                base_raw: leaf(&query.base_raw, device)?,
-                displacement: leaf(&query.displacement, device)?,
-                raw: leaf(&query.raw, device)?,
-            })
-        });
-        Ok(Self {
-            log_depth: leaf(&self.log_depth, device)?,
-            depth: leaf(&self.depth, device)?,
-            position: leaf(&self.position, device)?,
-            queries: queries.collect::<Result<_>>()?,
-        })
-    }
-
-    /// A number on the device of these outputs whose gradient with respect to them is what a backward pass found for their
-    /// leaves elsewhere; `None` when it found nothing. `[1]`
-    ///
-    /// # Errors
-    /// When a device cannot hand over values.
-    pub fn surrogate(&self, leaves: &Self, graph: &mut Gradients) -> Result<Option<Tensor<1>>> {
-        let mut terms = vec![
-            slope(&self.log_depth, &leaves.log_depth, graph)?,
-            slope(&self.depth, &leaves.depth, graph)?,
-            slope(&self.position, &leaves.position, graph)?,
-        ];
-        for (query, leaves) in self.queries.iter().zip(&leaves.queries) {
-            terms.push(slope(&query.base_raw, &leaves.base_raw, graph)?);
-            terms.push(slope(&query.displacement, &leaves.displacement, graph)?);
-            terms.push(slope(&query.raw, &leaves.raw, graph)?);
-        }
-        Ok(terms.into_iter().flatten().reduce(|sum, term| sum + term))
-    }
-}
-
-/// Values of a tensor as a leaf on another device.
-fn leaf<const D: usize>(tensor: &Tensor<D>, device: &Device) -> Result<Tensor<D>> {
-    let leaf = from_host(to_host(tensor.clone())?, tensor.dims(), device);
-    Ok(if device.is_autodiff() {
-        leaf.require_grad()
-    } else {
-        leaf
-    })
-}
-
-/// The sum of a tensor times the gradient of its leaf.
-fn slope<const D: usize>(tensor: &Tensor<D>, leaf: &Tensor<D>, graph: &mut Gradients) -> Result<Option<Tensor<1>>> {
-    let Some(gradient) = leaf.grad_remove(graph) else {
-        return Ok(None);
-    };
-    let gradient = from_host(to_host(gradient)?, tensor.dims(), &tensor.device());
-    Ok(Some((tensor.clone() * gradient).sum()))
 }
 
 /// Which of the dense heads run.

@@ -12,7 +12,6 @@ use std::collections::BTreeMap;
 use burn::tensor::Device;
 use rayon::prelude::*;
 use rogs_networks::checkpoint::{PROCEDURAL, TRAINING_DOMAIN, stage1_metadata};
-use rogs_networks::device;
 use rogs_networks::lpips::LpipsTensors;
 use rogs_networks::optimiser::{self, Gradients, Moments, Rule, schedule};
 use rogs_networks::parameters::Parameters;
@@ -20,7 +19,7 @@ use rogs_networks::stage1::Stage1;
 use rogs_random::Pcg64;
 
 use crate::checkpoint::State;
-use crate::config::{Stage1Training, check_device};
+use crate::config::Stage1Training;
 use crate::error::{Error, Result};
 use crate::perceptual::perceptual;
 use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
@@ -47,17 +46,16 @@ pub struct Stage1Trainer {
 }
 
 impl Stage1Trainer {
-    /// A run before its first update, on a device of its own kind with gradients.
+    /// A run before its first update, on the CPU: the framework has no gradient of bilinear resampling elsewhere.
     ///
     /// # Errors
     /// When settings are wrong or the checkpoint to start from cannot be opened.
-    pub fn new(settings: Stage1Training, device: &Device) -> Result<Self> {
+    pub fn new(settings: Stage1Training) -> Result<Self> {
         settings.check()?;
-        check_device(device)?;
-        let device = device.clone().autodiff();
+        let device = Device::flex().autodiff();
         let mut start = start::start(&settings, &device)?;
         start.network.parameters.set_products(settings.precision.into());
-        let perceptual = perceptual(settings.lpips.as_deref(), &Device::flex().autodiff())?;
+        let perceptual = perceptual(settings.lpips.as_deref(), &device)?;
         Ok(Self {
             settings,
             network: start.network,
@@ -176,18 +174,11 @@ impl Course for Stage1Trainer {
         metadata
     }
 
-    // Clips are differentiated side by side on as many threads as there are, on a graphics processor one after the other; their
-    // gradients are added up in their order.
+    // Clips are differentiated side by side on as many threads as there are; their gradients are added up in their order.
     fn update(&mut self, batch: &Batch) -> Result<UpdateReport> {
-        let at_a_time = if device::is_cpu(self.network.parameters.device()) {
-            1
-        } else {
-            batch.clips.len().max(1)
-        };
         let results: Vec<Result<ClipResult>> = (0..batch.clips.len())
             .into_par_iter()
-            .with_min_len(at_a_time)
-            .with_max_len(at_a_time)
+            .with_max_len(1)
             .map(|index| self.differentiate(&batch.clips[index], index as u64))
             .collect();
         let mut sum = Gradients::new();

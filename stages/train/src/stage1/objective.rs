@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
-use rogs_networks::device;
 use rogs_networks::lpips::LpipsTensors;
 use rogs_networks::parameters::{from_host, to_host};
 use rogs_networks::stage1::losses;
@@ -37,7 +36,7 @@ pub struct Objective {
 pub struct Losses<'a> {
     /// Weight of each term.
     pub weights: &'a LossWeights,
-    /// The network of `movies_lpips`, on the CPU; that term is left out without it.
+    /// The network of `movies_lpips`, on the device of the outputs; that term is left out without it.
     pub perceptual: Option<&'a LpipsTensors>,
 }
 
@@ -65,35 +64,11 @@ fn track_pixels(sample: &Sample, random: &mut Pcg64) -> Vec<i32> {
     chosen
 }
 
-/// The objective of one clip; terms whose weight is 0 are not computed. Losses are computed on the CPU, where the rasteriser
-/// has its backward pass, wherever the network ran.
+/// The objective of one clip; terms whose weight is 0 are not computed.
 ///
 /// # Errors
 /// When the device or the rasteriser fails.
 pub fn objective(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &mut Pcg64) -> Result<Objective> {
-    if device::is_cpu(&lifted.depth.device()) {
-        on_outputs(sample, lifted, judged, random)
-    } else {
-        on_copies(sample, lifted, judged, random)
-    }
-}
-
-/// The objective of copies of a network's outputs on the CPU. The loss that is returned lies on the device of the outputs: its
-/// value is another one, its gradients are those of the objective.
-///
-/// # Errors
-/// As [`objective`].
-pub fn on_copies(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &mut Pcg64) -> Result<Objective> {
-    let leaves = lifted.leaves_on(&Device::flex().autodiff())?;
-    let objective = on_outputs(sample, &leaves, judged, random)?;
-    let loss = lifted.surrogate(&leaves, &mut objective.loss.backward())?;
-    Ok(Objective {
-        loss: loss.unwrap_or_else(|| Tensor::zeros([1], &lifted.depth.device())),
-        ..objective
-    })
-}
-
-fn on_outputs(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &mut Pcg64) -> Result<Objective> {
     let weights = judged.weights;
     let device = lifted.depth.device();
     let [height, width] = sample.size;

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use super::products::product;
 use super::{INPUTS, InputGradients, Operation, of_three};
+use crate::kernels::transpose::transposed;
 use crate::kernels::{PackedWeight, Precision};
 
 /// Rows of the weight whose gradient is one task.
@@ -79,7 +80,7 @@ impl Operation for Layer {
             }
             Precision::Bf16 => {
                 let input = PackedWeight::strided(input, [inputs, rows], [1, inputs], products);
-                input.apply(&turned(gradient, rows, outputs), |_, _, _| {})
+                input.apply(&transposed(gradient, rows, |value| value), |_, _, _| {})
             }
         });
         let of_bias = wanted[2].then(|| {
@@ -93,22 +94,4 @@ impl Operation for Layer {
         });
         [of_input, of_weight, of_bias]
     }
-}
-
-/// The transpose of a matrix. `[rows, columns] -> [columns, rows]`
-fn turned(matrix: &[f32], rows: usize, columns: usize) -> Vec<f32> {
-    /// Columns whose results are written side by side.
-    const BLOCK: usize = 16;
-    let mut turned = vec![0.0; matrix.len()];
-    turned
-        .par_chunks_mut((BLOCK * rows).max(1))
-        .enumerate()
-        .for_each(|(block, out)| {
-            for (row, values) in matrix.chunks_exact(columns.max(1)).enumerate() {
-                for (out, &value) in out.chunks_exact_mut(rows).zip(&values[block * BLOCK..]) {
-                    out[row] = value;
-                }
-            }
-        });
-    turned
 }

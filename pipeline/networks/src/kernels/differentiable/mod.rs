@@ -13,7 +13,8 @@ mod linear;
 mod products;
 mod resize;
 mod rotary;
-pub(in crate::kernels) mod weight_gradient;
+mod weight_gradient;
+mod weight_pairs;
 
 use std::fmt;
 use std::sync::Arc;

@@ -6,14 +6,15 @@
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use crate::kernels::{Precision, weight_pairs};
+use super::weight_pairs;
+use crate::kernels::Precision;
 
 /// Outputs whose sums are in registers.
-pub(in crate::kernels) const OUTPUTS: usize = 4;
+pub(super) const OUTPUTS: usize = 4;
 /// Inputs whose sums are in registers.
-pub(in crate::kernels) const INPUTS: usize = 2;
+pub(super) const INPUTS: usize = 2;
 /// Columns of a row of taps, and rows of taps.
-pub(in crate::kernels) const SIDE: usize = 3;
+pub(super) const SIDE: usize = 3;
 /// Numbers of the widest vector of any instruction set, for padding.
 const MAX_LANES: usize = 32;
 /// Tiles of a task.
@@ -31,7 +32,7 @@ pub(super) struct Maps {
 }
 
 /// Sums of a tile.
-pub(in crate::kernels) type Sums = [[[f32; SIDE]; INPUTS]; OUTPUTS];
+pub(super) type Sums = [[[f32; SIDE]; INPUTS]; OUTPUTS];
 
 /// Sums over images and pixels, image by image. `gradient [B, out, H, W]`, `input [B, in, H, W]`; `[out, in, 3, 3]`
 pub(super) fn weight_gradient(gradient: &[f32], input: &[f32], maps: Maps) -> Vec<f32> {
@@ -133,17 +134,17 @@ impl<T> Padded<T> {
 }
 
 /// One row of taps of a few outputs and inputs.
-pub(in crate::kernels) struct Tile<'a, T> {
+pub(super) struct Tile<'a, T> {
     /// Planes of the result's gradient.
-    pub(in crate::kernels) gradient: [&'a [T]; OUTPUTS],
+    pub(super) gradient: [&'a [T]; OUTPUTS],
     /// Planes of the input, with a row and a column of zeros around.
-    pub(in crate::kernels) input: [&'a [T]; INPUTS],
+    pub(super) input: [&'a [T]; INPUTS],
     /// Distances of rows in the two.
-    pub(in crate::kernels) strides: [usize; 2],
+    pub(super) strides: [usize; 2],
     /// The row of taps.
-    pub(in crate::kernels) row: usize,
+    pub(super) row: usize,
     /// Height and width of the maps.
-    pub(in crate::kernels) size: [usize; 2],
+    pub(super) size: [usize; 2],
 }
 
 impl WithSimd for Tile<'_, f32> {

@@ -1,9 +1,9 @@
 //! The sums of a convolution's weight gradient on numbers rounded to bfloat16: pairs of neighbouring pixels, half the
 //! instructions of the f32 kernel where the processor has AVX512_BF16, the same bits in portable code elsewhere.
 
-use super::bf16::{multiply_add_each, rounded};
-use super::differentiable::weight_gradient::{INPUTS, OUTPUTS, SIDE, Sums, Tile};
-use super::vectorised;
+use super::weight_gradient::{INPUTS, OUTPUTS, SIDE, Sums, Tile};
+use crate::kernels::bf16::{multiply_add_each, rounded};
+use crate::kernels::vectorised;
 
 /// Pixels of a vector.
 const PIXELS: usize = 32;
@@ -25,7 +25,7 @@ pub(super) fn sums(tile: Tile<'_, u16>) -> Sums {
 
 fn lane_sums(tile: &Tile<'_, u16>) -> LaneSums {
     #[cfg(target_arch = "x86_64")]
-    if super::bf16::is_available() {
+    if crate::kernels::bf16::is_available() {
         return x86::lane_sums(tile);
     }
     portable_lane_sums(tile)
@@ -128,8 +128,8 @@ mod x86 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::product::tests::noise;
     use super::*;
+    use crate::kernels::product::tests::noise;
 
     #[test]
     fn the_instruction_and_the_portable_code_give_the_same_bits() {
