@@ -112,6 +112,9 @@ pub struct LossWeights {
     /// The same over robot pixels only. Not in the paper, whose robot depth is the mesh's: it teaches the network the depth
     /// that the ablation without anchoring asks for.
     pub stereo_robot: f64,
+    /// Cross entropy of the depths that the stem's plane sweep finds likely, at what another camera sees too. Not in the paper,
+    /// whose network has no sweep.
+    pub sweep: f64,
     /// Motion at track pixels.
     pub track_head: f64,
     /// Composited displacement at track pixels.
@@ -192,6 +195,7 @@ impl Default for LossWeights {
             depth_head: 1.0,
             stereo: 1.04051,
             stereo_robot: 0.0,
+            sweep: 0.0,
             track_head: 10.0,
             track_final: 0.105_593,
             fk_head: 0.464_340,
@@ -228,13 +232,14 @@ impl LossWeights {
         self.metric_final > 0.0 || self.metric_right > 0.0
     }
 
-    fn all(&self) -> [f64; 13] {
+    fn all(&self) -> [f64; 14] {
         [
             self.movies_mse,
             self.movies_lpips,
             self.depth_head,
             self.stereo,
             self.stereo_robot,
+            self.sweep,
             self.track_head,
             self.track_final,
             self.fk_head,

@@ -30,6 +30,7 @@ const NONE: LossWeights = LossWeights {
     depth_head: 0.0,
     stereo: 0.0,
     stereo_robot: 0.0,
+    sweep: 0.0,
     track_head: 0.0,
     track_final: 0.0,
     fk_head: 0.0,
@@ -200,6 +201,7 @@ fn gradients_are_those_of_the_reported_loss() {
                 ..NONE
             },
         ),
+        ("sweep", LossWeights { sweep: 1.0, ..NONE }),
         (
             "metric",
             LossWeights {
@@ -243,6 +245,7 @@ fn gradients_are_those_of_the_reported_loss() {
     let perceptual = perceptual(&device.clone().autodiff());
     for (what, weights) in cases {
         let name = match what {
+            "sweep" => "stem.sweep.features.0.weight",
             "composited motion" => "backbone.motion_head.scratch.output_conv2.2.bias",
             "coverage" | "perceptual" => "backbone.splat_head.scratch.output_conv2.2.bias",
             _ => "backbone.depth_head.scratch.output_conv2.2.bias",
@@ -274,7 +277,7 @@ fn gradients_are_those_of_the_reported_loss() {
         let numeric = (above - below) / (2.0 * f64::from(step));
         let (_, analytic) = value_with(0.0);
         // Gaussians that come and go at the edge of their footprint make rendered losses jump a little.
-        let tolerance = if what == "heads" { 0.01 } else { 0.12 };
+        let tolerance = if matches!(what, "heads" | "sweep") { 0.01 } else { 0.12 };
         assert!(
             (numeric - analytic).abs() < tolerance * numeric.abs().max(1e-4),
             "{what}: {analytic} by the backward pass, {numeric} by differences"
@@ -344,16 +347,33 @@ fn a_network_learns_one_clip() {
     assert!(losses[11] < 0.8 * losses[0], "{losses:?}");
 }
 
-/// A checkpoint made before the configuration had a stem goes on with one.
+/// Checkpoints made before the configuration had a stem, or the sweep in it, go on with one.
 #[test]
-fn a_checkpoint_without_a_stem_gets_one_that_says_nothing_yet() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("old.safetensors");
-    let config = Stage1Config {
-        stem_channels: [0; 4],
+fn a_checkpoint_without_a_stem_or_sweep_gets_one_that_says_nothing_yet() {
+    let without_sweep = Stage1Config {
+        sweep_depths: 0,
         ..Stage1Config::compact()
     };
-    let old = seeded::network(&config, 5, &Device::flex()).unwrap();
+    let without_stem = Stage1Config {
+        stem_channels: [0; 4],
+        ..without_sweep.clone()
+    };
+    let of_stem = ["stem.tokens.weight", "backbone.depth_head.stem.project.3.weight"];
+    goes_on_with_what_it_lacks(&without_stem, &of_stem);
+    goes_on_with_what_it_lacks(&without_sweep, &["stem.sweep.conv2.weight"]);
+}
+
+/// The parameters named are zero at first and learn.
+fn goes_on_with_what_it_lacks(config: &Stage1Config, learning: &[&str]) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("old.safetensors");
+    let mut old = seeded::network(config, 5, &Device::flex()).unwrap();
+    // A trained stem is heard; a seeded one is not, nor would be a sweep that says something to it.
+    let heard = "backbone.depth_head.stem.project.1.weight";
+    if let Some(shape) = old.parameters.shape(heard).map(<[usize]>::to_vec) {
+        let count = shape.iter().product();
+        old.parameters.insert(heard, &shape, vec![0.01; count]).unwrap();
+    }
     let tensor = |name: String| TensorSource {
         shape: old.parameters.shape(&name).unwrap().to_vec(),
         values: Box::new({
@@ -365,7 +385,7 @@ fn a_checkpoint_without_a_stem_gets_one_that_says_nothing_yet() {
     let tensors = old.parameters.names().into_iter().map(tensor).collect();
     write(
         &path,
-        &stage1_metadata(&config, true, "a test"),
+        &stage1_metadata(config, true, "a test"),
         ElementType::F32,
         tensors,
     )
@@ -386,10 +406,14 @@ fn a_checkpoint_without_a_stem_gets_one_that_says_nothing_yet() {
     .unwrap();
     assert_eq!(depth(&old), depth(&plain));
 
-    // What it says comes through its last layers first.
+    // What they say comes through their last layers first.
+    for &name in learning {
+        let values = trainer.network.parameters.host(name).unwrap();
+        assert!(values.iter().all(|&value| value == 0.0), "{name} says something");
+    }
     let batch = batches(&settings, 0).next_item().unwrap().unwrap();
     trainer.update(&batch).unwrap();
-    for name in ["stem.tokens.weight", "backbone.depth_head.stem.project.3.weight"] {
+    for &name in learning {
         let values = trainer.network.parameters.host(name).unwrap();
         assert!(values.iter().any(|&value| value != 0.0), "{name} does not learn");
     }

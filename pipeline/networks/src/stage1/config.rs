@@ -53,6 +53,10 @@ pub struct Stage1Config {
     /// one.
     #[serde(default)]
     pub stem_channels: [usize; 4],
+    /// Depths at which the stem compares a frame with other cameras ([`super::stem`]); 0 for a network that does not, as the
+    /// released one.
+    #[serde(default)]
+    pub sweep_depths: usize,
 }
 
 impl Stage1Config {
@@ -75,6 +79,7 @@ impl Stage1Config {
             time_frequencies: 10,
             fk_hidden: 32,
             stem_channels: [0; 4],
+            sweep_depths: 0,
         }
     }
 
@@ -97,6 +102,7 @@ impl Stage1Config {
             time_frequencies: 10,
             fk_hidden: 16,
             stem_channels: [32, 48, 64, 96],
+            sweep_depths: 48,
         }
     }
 
@@ -137,6 +143,12 @@ impl Stage1Config {
         let stem = self.stem_channels;
         if self.has_stem() && (stem.contains(&0) || stem.iter().any(|&channels| channels > 1 << 10)) {
             return fail(format!("a stem of {stem:?} channels: all are 0, or all from 1 to 1024"));
+        }
+        let depths = self.sweep_depths;
+        if depths > 1 << 10 || (depths > 0 && !self.has_stem()) {
+            return fail(format!(
+                "a sweep of {depths} depths: it needs a stem, and at most 1024 of them"
+            ));
         }
         if self.has_stem() && !self.patch.is_multiple_of(CELL) {
             let patch = self.patch;

@@ -97,6 +97,20 @@ impl Camera {
         [t[0], t[1], t[2], q[0], q[1], q[2], q[3], fov(fy), fov(fx)].map(|number| number as f32)
     }
 
+    /// Where a point of the reconstruction frame (internal units) is seen, (u, v), and its depth. A point at depth 0 has no
+    /// finite place; one behind the camera has a negative depth.
+    #[must_use]
+    pub fn project(&self, point_iu: [f64; 3]) -> ([f64; 2], f64) {
+        let r = &self.rotation;
+        let [x, y, depth]: [f64; 3] = std::array::from_fn(|axis| {
+            (0..3)
+                .map(|k| r[3 * k + axis] * (point_iu[k] - self.translation_iu[k]))
+                .sum()
+        });
+        let [fx, fy, cx, cy] = self.focal_centre;
+        ([fx * x / depth + cx, fy * y / depth + cy], depth)
+    }
+
     /// Points of a depth map in the reconstruction frame, internal units. `[H, W] -> [H, W, 3]`
     #[must_use]
     pub fn unproject(&self, depth_iu: &[f32], height: usize, width: usize) -> Vec<f32> {

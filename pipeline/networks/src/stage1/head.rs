@@ -352,7 +352,7 @@ impl DenseHead {
             );
             let mut map = self.reduce[level].forward(map);
             if let (Some(stem), Some(local), true) = (&self.stem, local, level < 3) {
-                map = stem.add(level + 1, map, local);
+                map = stem.add(level + 1, map, &local.levels);
             }
             show(watch, || format!("layer{}_rn", level + 1), &map);
             map
@@ -367,7 +367,7 @@ impl DenseHead {
             show(watch, || format!("refinenet{}", level + 1), &fused);
         }
         if let (Some(stem), Some(local)) = (&self.stem, local) {
-            fused = stem.refine(fused, local);
+            fused = stem.refine(fused, &local.levels);
             show(watch, || "stem".into(), &fused);
         }
         let narrowed = self.narrow.forward(fused);

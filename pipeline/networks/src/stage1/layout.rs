@@ -1,7 +1,7 @@
 //! Every parameter of a configuration: name, shape and initial values, in the order of the released checkpoint.
 
 use super::config::{HeadKind, POSE_NUMBERS, SPLAT_CHANNELS, Stage1Config};
-use super::{adapter, stem};
+use super::{adapter, stem, sweep};
 use crate::parameters::ParameterSource;
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 
@@ -115,9 +115,8 @@ pub fn released(config: &Stage1Config) -> Vec<ParameterSpec> {
 }
 
 /// The parameters that a stem adds to a network without one: its own, and where heads read it. What it says to tokens and
-/// heads is zero at the start.
-#[must_use]
-pub fn stem(config: &Stage1Config) -> Vec<ParameterSpec> {
+/// heads is zero at the start, and so is what a sweep says to it.
+fn stem(config: &Stage1Config) -> Vec<ParameterSpec> {
     let mut list = List::default();
     if !config.has_stem() {
         return list.0;
@@ -132,6 +131,15 @@ pub fn stem(config: &Stage1Config) -> Vec<ParameterSpec> {
         inputs = outputs;
     }
     let zero = Initial::Constant(0.0);
+    if config.sweep_depths > 0 {
+        for (index, level) in sweep::COMPARED.into_iter().enumerate() {
+            let name = format!("stem.sweep.features.{index}");
+            list.layer(&name, &[sweep::FEATURES, channels[level], 3, 3]);
+        }
+        let own = channels[sweep::LEVEL];
+        list.layer("stem.sweep.conv1", &[sweep::HIDDEN, sweep::inputs(config), 3, 3]);
+        list.filled("stem.sweep.conv2", &[own, sweep::HIDDEN, 3, 3], zero);
+    }
     let to_tokens = stem::TOKEN_LEVELS.iter().map(|&level| channels[level]).sum();
     list.filled("stem.tokens", &[config.width, to_tokens], zero);
     let features = config.head_features;

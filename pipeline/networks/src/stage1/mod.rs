@@ -18,6 +18,7 @@ pub mod network;
 pub mod positions;
 pub mod seeded;
 pub mod stem;
+pub mod sweep;
 
 pub use crate::kernels::Precision;
 pub use aggregator::Attention;

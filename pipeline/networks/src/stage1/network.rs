@@ -7,7 +7,7 @@ use super::config::{HeadKind, Stage1Config};
 use super::encoder::Encoder;
 use super::geometry::Camera;
 use super::head::{DenseHead, FkBranch, TAP_EPSILON};
-use super::stem::{Pyramid, Stem};
+use super::stem::{Local, Stem};
 use crate::kernels::Precision;
 use crate::ops::standardise;
 use crate::parameters::Parameters;
@@ -43,8 +43,8 @@ pub struct SourceFrames {
 pub struct Encoded {
     /// Per tap, before the affine map of a head's norm. `4 x [S, N, 2C]`
     pub taps: [Tensor<3>; 4],
-    /// Features of the stem, in a network that has one and for heads that read it. `4 x [S, c, h, w]`
-    pub local: Option<Pyramid>,
+    /// What the stem says, in a network that has one and for heads that read it.
+    pub local: Option<Local>,
     /// Patch grid, rows and columns.
     pub grid: [usize; 2],
     /// Image height and width.
@@ -63,10 +63,7 @@ impl Encoded {
     pub fn frames_at(&self, start: usize, count: usize) -> Self {
         Self {
             taps: self.taps.clone().map(|tap| tap.narrow(0, start, count)),
-            local: self
-                .local
-                .clone()
-                .map(|maps| maps.map(|map| map.narrow(0, start, count))),
+            local: self.local.as_ref().map(|local| local.frames_at(start, count)),
             ..*self
         }
     }
@@ -137,7 +134,7 @@ impl Stage1 {
         self.encode_with(frames, tokens, self.local(frames)?)
     }
 
-    fn encode_with(&self, frames: &SourceFrames, tokens: Tensor<3>, local: Option<Pyramid>) -> Result<Encoded> {
+    fn encode_with(&self, frames: &SourceFrames, tokens: Tensor<3>, local: Option<Local>) -> Result<Encoded> {
         let [_, _, height, width] = frames.images.dims();
         let grid = self.config.grid(height, width)?;
         let tokens = self.embed(frames, tokens)?;
@@ -145,26 +142,26 @@ impl Stage1 {
         self.encoded(taps, local, [height, width])
     }
 
-    /// Features of the stem; `None` in a network without one. `4 x [S, c, h, w]`
+    /// What the stem says; `None` in a network without one.
     ///
     /// # Errors
     /// As [`Self::encode`].
-    pub fn local(&self, frames: &SourceFrames) -> Result<Option<Pyramid>> {
+    pub fn local(&self, frames: &SourceFrames) -> Result<Option<Local>> {
         if !self.config.has_stem() {
             return Ok(None);
         }
-        self.stem().features(frames.images.clone(), &frames.cameras).map(Some)
+        self.stem().features(frames).map(Some)
     }
 
     /// Patch tokens of the images: those of the encoder, and what the stem adds to them. `[S, N, C]`
     ///
     /// # Errors
     /// As [`Self::encode`].
-    pub fn patch_tokens(&self, frames: &SourceFrames, local: Option<&Pyramid>) -> Result<Tensor<3>> {
+    pub fn patch_tokens(&self, frames: &SourceFrames, local: Option<&Local>) -> Result<Tensor<3>> {
         let [_, _, height, width] = frames.images.dims();
         let tokens = self.encoder().forward(frames.images.clone())?;
         match local {
-            Some(local) => Ok(tokens + self.stem().tokens(local, self.config.grid(height, width)?)?),
+            Some(local) => Ok(tokens + self.stem().tokens(&local.levels, self.config.grid(height, width)?)?),
             None => Ok(tokens),
         }
     }
@@ -199,12 +196,7 @@ impl Stage1 {
     ///
     /// # Errors
     /// When the image size is not one of whole patches.
-    pub fn encoded(
-        &self,
-        taps: [Tensor<3>; 4],
-        local: Option<Pyramid>,
-        [height, width]: [usize; 2],
-    ) -> Result<Encoded> {
+    pub fn encoded(&self, taps: [Tensor<3>; 4], local: Option<Local>, [height, width]: [usize; 2]) -> Result<Encoded> {
         let grid = self.config.grid(height, width)?;
         let first = self.config.patch_start();
         Ok(Encoded {

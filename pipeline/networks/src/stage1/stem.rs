@@ -2,13 +2,15 @@
 //!
 //! The released network has a pretrained encoder behind its 14-pixel patches. A small network that starts from nothing
 //! learns to read patches late, and its heads never see an edge; a few convolutions on colours and ray directions give
-//! both a start. `full` has no stem.
+//! both a start. In between, a frame may be compared with other cameras ([`sweep`]). `full` has no stem.
 
 use burn::tensor::Tensor;
 
 use super::config::Stage1Config;
 use super::encoder::normalised;
-use super::geometry::{Camera, ray_maps};
+use super::geometry::ray_maps;
+use super::network::SourceFrames;
+use super::sweep;
 use crate::ops::{self, Conv, Linear};
 use crate::parameters::Scope;
 use crate::{Error, Result};
@@ -23,6 +25,28 @@ pub const TOKEN_LEVELS: [usize; 2] = [2, 3];
 /// Features of the stem at a half, a quarter, an eighth and a sixteenth of the image size. `4 x [S, c, h, w]`
 pub type Pyramid = [Tensor<4>; 4];
 
+/// What a stem says about the frames of a clip.
+#[derive(Debug, Clone)]
+pub struct Local {
+    /// Its features.
+    pub levels: Pyramid,
+    /// Logarithm of the probability of each depth of the sweep; `None` without a sweep, or where no frame has company.
+    /// `[S, D, h, w]`
+    pub depths: Option<Tensor<4>>,
+}
+
+impl Local {
+    /// The same for some frames.
+    #[must_use]
+    pub fn frames_at(&self, start: usize, count: usize) -> Self {
+        let narrow = |map: Tensor<4>| map.narrow(0, start, count);
+        Self {
+            levels: self.levels.clone().map(narrow),
+            depths: self.depths.clone().map(narrow),
+        }
+    }
+}
+
 /// The stem over a scope of parameters (`stem`).
 pub struct Stem<'a> {
     scope: Scope<'a>,
@@ -36,22 +60,39 @@ impl<'a> Stem<'a> {
         Self { scope, config }
     }
 
-    /// Features of images, RGB in [0, 1]. `[S, 3, H, W] -> 4 x [S, c, h, w]`
+    /// What it says about the frames' images.
     ///
     /// # Errors
     /// When a tensor is missing or has another shape, or the frames do not fit together.
-    pub fn features(&self, images: Tensor<4>, cameras: &[Camera]) -> Result<Pyramid> {
-        let [frames, _, height, width] = images.dims();
-        if cameras.len() != frames {
+    pub fn features(&self, frames: &SourceFrames) -> Result<Local> {
+        let SourceFrames { images, cameras, .. } = frames;
+        let [count, _, height, width] = images.dims();
+        if cameras.len() != count {
             let poses = cameras.len();
-            return Err(Error::BadInput(format!("{frames} images come with {poses} cameras")));
+            return Err(Error::BadInput(format!("{count} images come with {poses} cameras")));
         }
         let rays = ray_maps(cameras, [height, width], self.scope.device());
-        let first = self.level(0, Tensor::cat(vec![normalised(images), rays], 1))?;
+        let first = self.level(0, Tensor::cat(vec![normalised(images.clone()), rays], 1))?;
         let second = self.level(1, first.clone())?;
-        let third = self.level(2, second.clone())?;
-        let fourth = self.level(3, third.clone())?;
-        Ok([first, second, third, fourth])
+        let [third, fourth] = self.coarse(second.clone())?;
+        let sweep = sweep::Sweeping::new(self.scope.child("sweep"), self.config);
+        let Some(swept) = sweep.join([&second, &third, &fourth], frames)? else {
+            return Ok(Local {
+                levels: [first, second, third, fourth],
+                depths: None,
+            });
+        };
+        let [third, fourth] = self.coarse(swept.features.clone())?;
+        Ok(Local {
+            levels: [first, swept.features, third, fourth],
+            depths: Some(swept.depths),
+        })
+    }
+
+    /// The third and the fourth level.
+    fn coarse(&self, second: Tensor<4>) -> Result<[Tensor<4>; 2]> {
+        let third = self.level(2, second)?;
+        Ok([third.clone(), self.level(3, third)?])
     }
 
     /// Two convolutions on the cells of a map. `[S, c', h, w] -> [S, c, h / 2, w / 2]`, sizes rounded up

@@ -131,6 +131,7 @@ pub fn tiny_config() -> Stage1Config {
         time_frequencies: 10,
         fk_hidden: 32,
         stem_channels: [0; 4],
+        sweep_depths: 0,
     }
 }
 

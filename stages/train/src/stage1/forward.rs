@@ -16,6 +16,8 @@ pub struct Lifted {
     pub log_depth: Tensor<3>,
     /// The head's depth within its range, internal units. `[S, H, W]`
     pub depth: Tensor<3>,
+    /// Logarithm of the probability of each depth of the stem's sweep, in a network that has one. `[S, D, h, w]`
+    pub sweep: Option<Tensor<4>>,
     /// Positions after mesh anchoring, internal units. `[S, 3, H, W]`
     pub position: Tensor<4>,
     /// One a query; none when only the depth head ran.
@@ -89,6 +91,7 @@ pub fn decode(network: &Stage1, sample: &Sample, encoded: &Encoded, conditioned:
     Ok(Lifted {
         log_depth: log_depth.squeeze_dim(1),
         depth: depth.squeeze_dim(1),
+        sweep: encoded.local.as_ref().and_then(|local| local.depths.clone()),
         position,
         queries,
     })

@@ -3,6 +3,7 @@
 mod checkpointed;
 mod evaluate;
 pub mod forward;
+mod matching;
 pub mod objective;
 mod renders;
 pub mod start;

@@ -9,6 +9,7 @@ use rogs_networks::stage1::losses;
 use rogs_random::Pcg64;
 
 use super::forward::Lifted;
+use super::matching;
 use super::renders;
 use crate::config::LossWeights;
 use crate::error::Result;
@@ -95,6 +96,12 @@ pub fn objective(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &
     if weights.depth_head > 0.0 {
         let loss = losses::depth(lifted.depth.clone(), map(&sample.depth_iu), valid.clone())?;
         sum.add("depth_head", weights.depth_head, 1.0, loss)?;
+    }
+    if let Some(found) = lifted.sweep.as_ref().filter(|_| weights.sweep > 0.0) {
+        let shape = found.dims();
+        let target = from_host(matching::target(sample, shape), shape, &device);
+        let loss = -(found.clone() * target.clone()).sum() / (target.sum() + EPSILON);
+        sum.add("sweep", weights.sweep, 1.0, loss)?;
     }
     let tracks = track_pixels(sample, random);
     let share = 1.0 / sample.queries.len().max(1) as f64;

@@ -33,9 +33,7 @@ pub fn start(settings: &Stage1Training, device: &Device) -> Result<Start> {
         }
         None => (from_seed(&config, settings.seed, device)?, true),
     };
-    if without_stem(&network.config) == without_stem(&config) && !network.config.has_stem() {
-        add_stem(&mut network, &config, settings.seed)?;
-    }
+    extend(&mut network, &config, settings.seed)?;
     if network.config != config {
         return Err(crate::Error::Setting {
             what: "configuration",
@@ -56,21 +54,25 @@ pub fn start(settings: &Stage1Training, device: &Device) -> Result<Start> {
     })
 }
 
-/// The same sizes of a network without a stem.
-fn without_stem(config: &Stage1Config) -> Stage1Config {
-    Stage1Config {
-        stem_channels: [0; 4],
-        ..config.clone()
+/// Gives a network of a checkpoint the stem and the sweep of its configuration where it has none; they say nothing yet.
+fn extend(network: &mut Stage1, config: &Stage1Config, seed: u64) -> Result<()> {
+    let mut extended = network.config.clone();
+    if !extended.has_stem() {
+        extended.stem_channels = config.stem_channels;
     }
-}
-
-/// Gives a network of a checkpoint without a stem the one of its configuration; it says nothing yet.
-fn add_stem(network: &mut Stage1, config: &Stage1Config, seed: u64) -> Result<()> {
-    for spec in layout::stem(config) {
-        let values = seeded::values(&spec, config, seed);
-        network.parameters.insert(&spec.name, &spec.shape, values)?;
+    if extended.sweep_depths == 0 {
+        extended.sweep_depths = config.sweep_depths;
     }
-    network.config = config.clone();
+    if extended != *config {
+        return Ok(());
+    }
+    for spec in layout::released(config) {
+        if network.parameters.shape(&spec.name).is_none() {
+            let values = seeded::values(&spec, config, seed);
+            network.parameters.insert(&spec.name, &spec.shape, values)?;
+        }
+    }
+    network.config = extended;
     Ok(())
 }
 

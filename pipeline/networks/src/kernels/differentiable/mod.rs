@@ -13,6 +13,7 @@ mod linear;
 mod products;
 mod resize;
 mod rotary;
+mod sweep;
 mod weight_gradient;
 mod weight_pairs;
 
@@ -36,6 +37,7 @@ pub(crate) use layer_norm::layer_norm;
 pub(crate) use linear::linear;
 pub(crate) use resize::resize;
 pub(crate) use rotary::rotate;
+pub(crate) use sweep::sweep;
 
 /// Inputs of an operation; those that it does not have are tensors of one number.
 const INPUTS: usize = 3;
