@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct LiftParams {
-    /// Sizes of the network when there is no weights file: `compact` or `full`. A weights file brings its own.
+    /// Sizes of the network when there is no weights file: `compact`, `compact-sweep` or `full`. A weights file brings its own.
     pub configuration: String,
     /// Seed of generated weights, when there is no weights file.
     pub seed: u64,

@@ -14,7 +14,7 @@ use crate::run::Rhythm;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Stage1Training {
-    /// Network configuration: `full` or `compact`.
+    /// Network configuration: `full`, `compact` or `compact-sweep`.
     pub configuration: String,
     /// Checkpoint to start from; without one, weights are drawn from the seed.
     pub start: Option<PathBuf>,
@@ -317,6 +317,13 @@ impl Stage1Training {
             .any(|weight| !weight.is_finite() || *weight < 0.0)
         {
             return wrong("losses", format!("{:?}", self.losses.all()), "finite and not negative");
+        }
+        if self.losses.sweep > 0.0 && network.sweep_depths == 0 {
+            return wrong(
+                "losses.sweep",
+                self.losses.sweep.to_string(),
+                "0 for a configuration without a plane sweep; `compact-sweep` has one",
+            );
         }
         Ok(())
     }

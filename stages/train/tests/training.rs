@@ -254,6 +254,10 @@ fn gradients_are_those_of_the_reported_loss() {
             "coverage" => 10, // opacity
             _ => 0,
         };
+        let mut settings = settings.clone();
+        if what == "sweep" {
+            settings.configuration = "compact-sweep".into();
+        }
         let value_with = |shift: f32| {
             let mut trainer = Stage1Trainer::new(settings.clone()).unwrap();
             let shape = trainer.network.parameters.shape(name).unwrap().to_vec();
@@ -350,21 +354,18 @@ fn a_network_learns_one_clip() {
 /// Checkpoints made before the configuration had a stem, or the sweep in it, go on with one.
 #[test]
 fn a_checkpoint_without_a_stem_or_sweep_gets_one_that_says_nothing_yet() {
-    let without_sweep = Stage1Config {
-        sweep_depths: 0,
-        ..Stage1Config::compact()
-    };
     let without_stem = Stage1Config {
         stem_channels: [0; 4],
-        ..without_sweep.clone()
+        ..Stage1Config::compact()
     };
     let of_stem = ["stem.tokens.weight", "backbone.depth_head.stem.project.3.weight"];
-    goes_on_with_what_it_lacks(&without_stem, &of_stem);
-    goes_on_with_what_it_lacks(&without_sweep, &["stem.sweep.conv2.weight"]);
+    goes_on_with_what_it_lacks(&without_stem, Stage1Config::compact(), &of_stem);
+    let of_sweep = ["stem.sweep.conv2.weight"];
+    goes_on_with_what_it_lacks(&Stage1Config::compact(), Stage1Config::compact_sweep(), &of_sweep);
 }
 
 /// The parameters named are zero at first and learn.
-fn goes_on_with_what_it_lacks(config: &Stage1Config, learning: &[&str]) {
+fn goes_on_with_what_it_lacks(config: &Stage1Config, wanted: Stage1Config, learning: &[&str]) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("old.safetensors");
     let mut old = seeded::network(config, 5, &Device::flex()).unwrap();
@@ -393,10 +394,11 @@ fn goes_on_with_what_it_lacks(config: &Stage1Config, learning: &[&str]) {
 
     let settings = Stage1Training {
         start: Some(path),
+        configuration: wanted.name.clone(),
         ..tiny(1)
     };
     let mut trainer = Stage1Trainer::new(settings.clone()).unwrap();
-    assert_eq!(trainer.network.config, Stage1Config::compact());
+    assert_eq!(trainer.network.config, wanted);
     let clip = sample(&settings, 99);
     let depth = |network: &Stage1| to_host(lift(network, &clip, true, Heads::Depth).unwrap().depth).unwrap();
     let plain = Stage1::new(

@@ -102,7 +102,17 @@ impl Stage1Config {
             time_frequencies: 10,
             fk_hidden: 16,
             stem_channels: [32, 48, 64, 96],
+            sweep_depths: 0,
+        }
+    }
+
+    /// `compact` with a plane sweep in its stem.
+    #[must_use]
+    pub fn compact_sweep() -> Self {
+        Self {
+            name: "compact-sweep".into(),
             sweep_depths: 48,
+            ..Self::compact()
         }
     }
 
@@ -114,8 +124,9 @@ impl Stage1Config {
         match name {
             "full" => Ok(Self::full()),
             "compact" => Ok(Self::compact()),
+            "compact-sweep" => Ok(Self::compact_sweep()),
             _ => Err(Error::BadConfiguration(format!(
-                "there is no configuration `{name}`; known are `full` and `compact`"
+                "there is no configuration `{name}`; known are `full`, `compact` and `compact-sweep`"
             ))),
         }
     }

@@ -1,4 +1,4 @@
-//! The plane sweep of small configurations: at which depth a pixel's neighbourhood looks alike in the other cameras of the
+//! The plane sweep of `compact-sweep`: at which depth a pixel's neighbourhood looks alike in the other cameras of the
 //! same moment.
 //!
 //! Cameras are calibrated, so that every depth of a pixel is one place in another image. Attention over all tokens would
@@ -365,7 +365,7 @@ mod tests {
     /// Noise through seeded layers, the last one not zero.
     fn said(attention: Attention) -> Option<Vec<f32>> {
         let device = Device::flex();
-        let config = Stage1Config::compact();
+        let config = Stage1Config::compact_sweep();
         let mut network = seeded::network(&config, 3, &device).unwrap();
         let name = "stem.sweep.conv2.weight";
         let shape = network.parameters.shape(name).unwrap().to_vec();

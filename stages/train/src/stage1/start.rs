@@ -56,7 +56,10 @@ pub fn start(settings: &Stage1Training, device: &Device) -> Result<Start> {
 
 /// Gives a network of a checkpoint the stem and the sweep of its configuration where it has none; they say nothing yet.
 fn extend(network: &mut Stage1, config: &Stage1Config, seed: u64) -> Result<()> {
-    let mut extended = network.config.clone();
+    let mut extended = Stage1Config {
+        name: config.name.clone(),
+        ..network.config.clone()
+    };
     if !extended.has_stem() {
         extended.stem_channels = config.stem_channels;
     }
