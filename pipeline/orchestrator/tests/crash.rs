@@ -188,7 +188,7 @@ fn kill_loop(rounds: u64, workers: u32) {
     );
     let folder = workspace.run_folder();
     rogs_orchestrator::gc::collect(&folder, false).unwrap();
-    assert!(workspace.temporaries().is_empty(), "{:?}", workspace.temporaries());
+    workspace.assert_no_temporaries();
 }
 
 #[test]
@@ -248,7 +248,7 @@ fn one_interrupt_drains_and_the_same_command_goes_on() {
     hold.release();
     assert_eq!(wait(child, "an interrupted orchestrator to end").code(), Some(75));
     hold.wait_for_workers();
-    assert!(workspace.temporaries().is_empty());
+    workspace.assert_no_temporaries();
     let status = status::status(&workspace.run_folder()).unwrap();
     assert!(
         status.failures.is_empty(),

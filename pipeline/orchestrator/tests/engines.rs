@@ -247,7 +247,7 @@ fn gc_removes_what_no_plan_names_and_nothing_else() {
     assert!(!workspace.run_folder().join("clips/c").exists());
     assert!(workspace.run_folder().join("clips/a/notes.txt").exists());
     assert_eq!(workspace.run().units.made, 0);
-    assert!(workspace.temporaries().is_empty());
+    workspace.assert_no_temporaries();
 }
 
 #[test]

@@ -95,7 +95,7 @@ fn workers_that_panic_or_die_cost_only_their_clip() {
     assert!(a.message.contains("a panic in robot-maps"), "{a:?}");
     assert!(b.message.contains("signal 6") && b.message.contains("`b`"), "{b:?}");
     assert_eq!((a.code, b.code), (FailureCode::Internal, FailureCode::Internal));
-    assert!(workspace.temporaries().is_empty());
+    workspace.assert_no_temporaries();
 }
 
 #[test]

@@ -91,6 +91,13 @@ impl Workspace {
         outputs
     }
 
+    /// Fails with the names of files that writers left behind.
+    #[track_caller]
+    pub fn assert_no_temporaries(&self) {
+        let found = self.temporaries();
+        assert!(found.is_empty(), "left behind: {found:?}");
+    }
+
     /// Files that writers left behind.
     pub fn temporaries(&self) -> Vec<PathBuf> {
         let mut found = Vec::new();
