@@ -351,7 +351,7 @@ fn a_network_learns_one_clip() {
     assert!(losses[11] < 0.8 * losses[0], "{losses:?}");
 }
 
-/// Checkpoints made before the configuration had a stem, or the sweep in it, go on with one.
+/// Checkpoints of a configuration without a stem or a sweep go on in one that has it.
 #[test]
 fn a_checkpoint_without_a_stem_or_sweep_gets_one_that_says_nothing_yet() {
     let without_stem = Stage1Config {

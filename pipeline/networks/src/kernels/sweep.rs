@@ -1,4 +1,4 @@
-//! The plane sweep: how alike the features of a pixel are to those of other frames at the points of its ray.
+//! The plane sweep: how alike the features of a cell are to those of other frames at the points of its ray.
 //!
 //! The point of cell (x, y) at a depth has the homogeneous cell coordinates `depth * turn (x, y, 1) + shift` in another
 //! frame, whose features are interpolated there. The similarity is the inner product, averaged over the frames that have
@@ -53,12 +53,13 @@ impl Sweep {
     /// Share of the other frames that have the point in their image. `[S, D, h, w]`
     #[must_use]
     pub(crate) fn visible(&self) -> Vec<f32> {
-        self.each_pixel(
+        self.each_cell(
             #[inline(always)]
-            |frame, pixel, column| {
-                let partners = &self.partners[frame];
-                self.counts(frame, pixel, column);
-                column.iter_mut().for_each(|count| *count /= partners.len() as f32);
+            |frame, _, counts, column| {
+                let partners = self.partners[frame].len() as f32;
+                for (share, count) in column.iter_mut().zip(counts) {
+                    *share = count / partners;
+                }
             },
         )
     }
@@ -66,27 +67,21 @@ impl Sweep {
     /// Mean similarity to the frames that have the point in their image, 0 where none has. `[S, F, h, w] -> [S, D, h, w]`
     #[must_use]
     pub(crate) fn similarity(&self, features: &[f32]) -> Vec<f32> {
-        let cells = self.cells(features);
+        let features = self.by_cell(features);
         let area = self.area();
-        self.each_pixel(
+        self.each_cell(
             #[inline(always)]
-            |frame, pixel, column| {
-                let own = &cells[frame * area + pixel];
-                let mut seen = vec![0.0f32; column.len()];
-                for partner in &self.partners[frame] {
-                    let there = &cells[partner.frame * area..][..area];
-                    self.project(
-                        partner,
-                        pixel,
-                        #[inline(always)]
-                        |depth, corners| {
-                            column[depth] += inner(own, &interpolated(there, &corners));
-                            seen[depth] += 1.0;
-                        },
-                    );
-                }
-                for (sum, &seen) in column.iter_mut().zip(&seen) {
-                    *sum /= seen.max(1.0);
+            |frame, cell, counts, column| {
+                let own = &features[frame * area + cell];
+                self.compare(
+                    frame,
+                    cell,
+                    &features,
+                    #[inline(always)]
+                    |_, depth, _, there| column[depth] += inner(own, &there),
+                );
+                for (sum, &count) in column.iter_mut().zip(counts) {
+                    *sum /= count.max(1.0);
                 }
             },
         )
@@ -95,37 +90,35 @@ impl Sweep {
     /// Gradient of the features, given that of the similarity. `[S, D, h, w] -> [S, F, h, w]`
     #[must_use]
     pub(crate) fn gradient(&self, slopes: &[f32], features: &[f32]) -> Vec<f32> {
-        let cells = self.cells(features);
+        let cells = self.by_cell(features);
         let (area, depths) = (self.area(), self.depths_iu.len());
         // Each frame adds to its own cells and to those of its partners; these sums are joined in the order of frames.
         let parts: Vec<Vec<(usize, Vec<Features>)>> = (0..self.partners.len())
             .into_par_iter()
             .map(|frame| {
-                let partners = &self.partners[frame];
-                let frames = std::iter::once(frame).chain(partners.iter().map(|partner| partner.frame));
+                let partners = self.partners[frame].iter().map(|partner| partner.frame);
+                let frames = std::iter::once(frame).chain(partners);
                 let mut sums: Vec<_> = frames.map(|frame| (frame, vec![[0.0; FEATURES]; area])).collect();
                 vectorised(
                     #[inline(always)]
                     || {
-                        let mut seen = vec![0.0f32; depths];
-                        for pixel in 0..area {
-                            self.counts(frame, pixel, &mut seen);
-                            let own = &cells[frame * area + pixel];
-                            for (index, partner) in partners.iter().enumerate() {
-                                let there = &cells[partner.frame * area..][..area];
-                                self.project(
-                                    partner,
-                                    pixel,
-                                    #[inline(always)]
-                                    |depth, corners| {
-                                        let slope = slopes[(frame * depths + depth) * area + pixel] / seen[depth];
-                                        add(&mut sums[0].1[pixel], slope, &interpolated(there, &corners));
-                                        for (cell, weight) in corners {
-                                            add(&mut sums[1 + index].1[cell], slope * weight, own);
-                                        }
-                                    },
-                                );
-                            }
+                        let mut counts = vec![0.0f32; depths];
+                        for cell in 0..area {
+                            self.count(frame, cell, &mut counts);
+                            let own = &cells[frame * area + cell];
+                            self.compare(
+                                frame,
+                                cell,
+                                &cells,
+                                #[inline(always)]
+                                |partner, depth, corners, there| {
+                                    let slope = slopes[(frame * depths + depth) * area + cell] / counts[depth];
+                                    add(&mut sums[0].1[cell], slope, &there);
+                                    for (corner, weight) in corners {
+                                        add(&mut sums[1 + partner].1[corner], slope * weight, own);
+                                    }
+                                },
+                            );
                         }
                     },
                 );
@@ -140,9 +133,9 @@ impl Sweep {
         }
         let mut gradient = vec![0.0f32; features.len()];
         for (map, cells) in gradient.chunks_exact_mut(FEATURES * area).zip(total.chunks_exact(area)) {
-            for (pixel, cell) in cells.iter().enumerate() {
-                for (channel, &value) in cell.iter().enumerate() {
-                    map[channel * area + pixel] = value;
+            for (cell, values) in cells.iter().enumerate() {
+                for (channel, &value) in values.iter().enumerate() {
+                    map[channel * area + cell] = value;
                 }
             }
         }
@@ -154,17 +147,17 @@ impl Sweep {
     }
 
     /// Features with those of a cell side by side. `[S, F, h, w] -> [S * h * w]`
-    fn cells(&self, features: &[f32]) -> Vec<Features> {
+    fn by_cell(&self, features: &[f32]) -> Vec<Features> {
         let area = self.area();
         features
             .chunks_exact(FEATURES * area)
-            .flat_map(|map| (0..area).map(|pixel| std::array::from_fn(|channel| map[channel * area + pixel])))
+            .flat_map(|map| (0..area).map(|cell| std::array::from_fn(|channel| map[channel * area + cell])))
             .collect()
     }
 
-    /// Fills the depths of every pixel: `fill(frame, pixel, values of the depths, zeros at first)`. `[S, D, h, w]`
+    /// Fills the depths of every cell: `fill(frame, cell, counts, values of the depths, zeros at first)`. `[S, D, h, w]`
     #[inline(always)]
-    fn each_pixel(&self, fill: impl Fn(usize, usize, &mut [f32]) + Sync) -> Vec<f32> {
+    fn each_cell(&self, fill: impl Fn(usize, usize, &[f32], &mut [f32]) + Sync) -> Vec<f32> {
         let (area, depths) = (self.area(), self.depths_iu.len());
         let mut out = vec![0.0f32; self.partners.len() * depths * area];
         out.par_chunks_mut((depths * area).max(1))
@@ -174,12 +167,13 @@ impl Sweep {
                 vectorised(
                     #[inline(always)]
                     || {
-                        let mut column = vec![0.0f32; depths];
-                        for pixel in 0..area {
+                        let (mut counts, mut column) = (vec![0.0f32; depths], vec![0.0f32; depths]);
+                        for cell in 0..area {
+                            self.count(frame, cell, &mut counts);
                             column.fill(0.0);
-                            fill(frame, pixel, &mut column);
+                            fill(frame, cell, &counts, &mut column);
                             for (depth, &value) in column.iter().enumerate() {
-                                out[depth * area + pixel] = value;
+                                out[depth * area + cell] = value;
                             }
                         }
                     },
@@ -188,25 +182,47 @@ impl Sweep {
         out
     }
 
-    /// How many frames have each point of a pixel's ray in their image. `[D]`
+    /// How many frames have each point of a cell's ray in their image. `[D]`
     #[inline(always)]
-    fn counts(&self, frame: usize, pixel: usize, counts: &mut [f32]) {
+    fn count(&self, frame: usize, cell: usize, counts: &mut [f32]) {
         counts.fill(0.0);
         for partner in &self.partners[frame] {
             self.project(
                 partner,
-                pixel,
+                cell,
                 #[inline(always)]
                 |depth, _| counts[depth] += 1.0,
             );
         }
     }
 
-    /// Visits the points of a pixel's ray that lie in the image of another frame.
+    /// Visits the points of a cell's ray that other frames have in their image, with the features there:
+    /// `visit(index among the partners, depth, corners, features)`.
     #[inline(always)]
-    fn project(&self, partner: &Partner, pixel: usize, mut visit: impl FnMut(usize, Corners)) {
+    fn compare(
+        &self,
+        frame: usize,
+        cell: usize,
+        features: &[Features],
+        mut visit: impl FnMut(usize, usize, Corners, Features),
+    ) {
+        let area = self.area();
+        for (index, partner) in self.partners[frame].iter().enumerate() {
+            let there = &features[partner.frame * area..][..area];
+            self.project(
+                partner,
+                cell,
+                #[inline(always)]
+                |depth, corners| visit(index, depth, corners, interpolated(there, &corners)),
+            );
+        }
+    }
+
+    /// Visits the points of a cell's ray that lie in the image of another frame.
+    #[inline(always)]
+    fn project(&self, partner: &Partner, cell: usize, mut visit: impl FnMut(usize, Corners)) {
         let [rows, columns] = self.size;
-        let (x, y) = ((pixel % columns) as f32, (pixel / columns) as f32);
+        let (x, y) = ((cell % columns) as f32, (cell / columns) as f32);
         let Partner { turn, shift, .. } = partner;
         let ray: [f32; 3] = std::array::from_fn(|k| turn[3 * k] * x + turn[3 * k + 1] * y + turn[3 * k + 2]);
         for (depth, &distance) in self.depths_iu.iter().enumerate() {
@@ -246,8 +262,8 @@ fn neighbours(place: f32, size: usize) -> (usize, usize, f32) {
 #[inline(always)]
 fn interpolated(cells: &[Features], corners: &Corners) -> Features {
     let mut sum = [0.0; FEATURES];
-    for &(cell, weight) in corners {
-        add(&mut sum, weight, &cells[cell]);
+    for &(corner, weight) in corners {
+        add(&mut sum, weight, &cells[corner]);
     }
     sum
 }

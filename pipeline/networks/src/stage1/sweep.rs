@@ -77,12 +77,15 @@ impl<'a> Sweeping<'a> {
     /// # Errors
     /// When a tensor is missing or has another shape, or gradients are asked for on a device that has none of this.
     pub(super) fn join(&self, levels: [&Tensor<4>; 3], frames: &SourceFrames) -> Result<Option<Swept>> {
+        if self.config.sweep_depths == 0 {
+            return Ok(None);
+        }
         let own = levels[0];
         let [count, channels, rows, columns] = own.dims();
         let [_, _, height, width] = frames.images.dims();
         let image = [height, width].map(|side| side as f64 / CELL_PIXELS as f64);
         let plan = plan(frames, self.config.sweep_depths, [rows, columns], image);
-        if plan.depths_iu.is_empty() || plan.partners.iter().all(Vec::is_empty) {
+        if plan.partners.iter().all(Vec::is_empty) {
             return Ok(None);
         }
         let (device, plan) = (own.device(), Arc::new(plan));

@@ -13,8 +13,8 @@ pub(super) fn target(sample: &Sample, [views, depths, rows, columns]: [usize; 4]
     let ([height, width], cells) = (sample.size, rows * columns);
     let mut target = vec![0.0f32; views * depths * cells];
     for view in 0..views {
-        let places = (0..height * width).map(|pixel| sample.depth_iu[view * height * width + pixel]);
-        let points = sample.cameras[view].unproject(&places.collect::<Vec<_>>(), height, width);
+        let depths_iu = &sample.depth_iu[view * height * width..][..height * width];
+        let points = sample.cameras[view].unproject(depths_iu, height, width);
         for cell in 0..cells {
             // The pixel after the centre of the cell.
             let [row, column] = [cell / columns, cell % columns].map(|index| CELL_PIXELS * index + CELL_PIXELS / 2);
