@@ -112,9 +112,11 @@ pub struct LossWeights {
     /// The same over robot pixels only. Not in the paper, whose robot depth is the mesh's: it teaches the network the depth
     /// that the ablation without anchoring asks for.
     pub stereo_robot: f64,
-    /// Cross entropy of the depths that the stem's plane sweep finds likely, at what another camera sees too. Not in the paper,
-    /// whose network has no sweep.
+    /// Cross entropies of the depths that the stem's plane sweep finds likely: by similarity alone, where another camera sees
+    /// the same, and in the end, everywhere. Not in the paper, whose network has no sweep.
     pub sweep: f64,
+    /// Absolute log-depth error of the sweep's expected depth.
+    pub sweep_depth: f64,
     /// Motion at track pixels.
     pub track_head: f64,
     /// Composited displacement at track pixels.
@@ -196,6 +198,7 @@ impl Default for LossWeights {
             stereo: 1.04051,
             stereo_robot: 0.0,
             sweep: 0.0,
+            sweep_depth: 0.0,
             track_head: 10.0,
             track_final: 0.105_593,
             fk_head: 0.464_340,
@@ -222,6 +225,19 @@ impl LossWeights {
         self.renders_views() || self.renders_motion() || self.track_head > 0.0 || self.fk_head > 0.0
     }
 
+    /// Whether any loss looks at the stem's sweep.
+    #[must_use]
+    pub fn looks_at_sweep(&self) -> bool {
+        self.sweep > 0.0 || self.sweep_depth > 0.0
+    }
+
+    /// Whether nothing but the stem's sweep is looked at.
+    #[must_use]
+    pub fn only_sweep(&self) -> bool {
+        let depth = self.stereo > 0.0 || self.stereo_robot > 0.0 || self.depth_head > 0.0;
+        self.looks_at_sweep() && !depth && !self.needs_queries()
+    }
+
     /// Whether any loss looks at a composited displacement.
     #[must_use]
     pub fn renders_motion(&self) -> bool {
@@ -232,7 +248,7 @@ impl LossWeights {
         self.metric_final > 0.0 || self.metric_right > 0.0
     }
 
-    fn all(&self) -> [f64; 14] {
+    fn all(&self) -> [f64; 15] {
         [
             self.movies_mse,
             self.movies_lpips,
@@ -240,6 +256,7 @@ impl LossWeights {
             self.stereo,
             self.stereo_robot,
             self.sweep,
+            self.sweep_depth,
             self.track_head,
             self.track_final,
             self.fk_head,
@@ -318,10 +335,10 @@ impl Stage1Training {
         {
             return wrong("losses", format!("{:?}", self.losses.all()), "finite and not negative");
         }
-        if self.losses.sweep > 0.0 && network.sweep_depths == 0 {
+        if self.losses.looks_at_sweep() && network.sweep_depths == 0 {
             return wrong(
-                "losses.sweep",
-                self.losses.sweep.to_string(),
+                "losses.sweep and losses.sweep_depth",
+                format!("{} and {}", self.losses.sweep, self.losses.sweep_depth),
                 "0 for a configuration without a plane sweep; `compact-sweep` has one",
             );
         }

@@ -31,6 +31,7 @@ const NONE: LossWeights = LossWeights {
     stereo: 0.0,
     stereo_robot: 0.0,
     sweep: 0.0,
+    sweep_depth: 0.0,
     track_head: 0.0,
     track_final: 0.0,
     fk_head: 0.0,
@@ -201,7 +202,14 @@ fn gradients_are_those_of_the_reported_loss() {
                 ..NONE
             },
         ),
-        ("sweep", LossWeights { sweep: 1.0, ..NONE }),
+        (
+            "sweep",
+            LossWeights {
+                sweep: 1.0,
+                sweep_depth: 1.0,
+                ..NONE
+            },
+        ),
         (
             "metric",
             LossWeights {
@@ -289,6 +297,50 @@ fn gradients_are_those_of_the_reported_loss() {
     }
 }
 
+/// With losses of the sweep alone nothing else runs or changes, and they are what they are in the whole network.
+#[test]
+fn a_sweep_is_trained_alone() {
+    let mut settings = tiny(1);
+    settings.configuration = "compact-sweep".into();
+    settings.losses = LossWeights {
+        sweep: 1.0,
+        sweep_depth: 1.0,
+        ..NONE
+    };
+    let batch = batches(&settings, 0).next_item().unwrap().unwrap();
+    let mut trainer = Stage1Trainer::new(settings.clone()).unwrap();
+    let values = |trainer: &Stage1Trainer| -> BTreeMap<String, Vec<f32>> {
+        let parameters = &trainer.network.parameters;
+        let names = parameters.names().into_iter();
+        names
+            .map(|name| (name.clone(), parameters.host(&name).unwrap()))
+            .collect()
+    };
+    let losses = Losses {
+        weights: &settings.losses,
+        perceptual: None,
+    };
+    let in_whole = |clip: &Sample| {
+        let lifted = lift(&trainer.network, clip, true, Heads::Depth).unwrap();
+        objective(clip, &lifted, losses, &mut Pcg64::from_seed(1))
+            .unwrap()
+            .value
+    };
+    let expected = batch.clips.iter().map(in_whole).sum::<f64>() / batch.clips.len() as f64;
+    let before = values(&trainer);
+    let report = trainer.update(&batch).unwrap();
+    assert!(
+        (report.loss - expected).abs() < 1e-5 * expected,
+        "{} {expected}",
+        report.loss
+    );
+    for (name, after) in values(&trainer) {
+        // The last layer speaks to the stem, which is not asked.
+        let trained = name.starts_with("stem.sweep.") && !name.starts_with("stem.sweep.join");
+        assert_eq!(after != before[&name], trained, "{name}");
+    }
+}
+
 /// Gradients in segments are those of the whole, to rounding, with and without a trained encoder.
 #[test]
 fn gradient_checkpointing_changes_no_gradient() {
@@ -360,7 +412,7 @@ fn a_checkpoint_without_a_stem_or_sweep_gets_one_that_says_nothing_yet() {
     };
     let of_stem = ["stem.tokens.weight", "backbone.depth_head.stem.project.3.weight"];
     goes_on_with_what_it_lacks(&without_stem, Stage1Config::compact(), &of_stem);
-    let of_sweep = ["stem.sweep.conv2.weight"];
+    let of_sweep = ["stem.sweep.join.weight"];
     goes_on_with_what_it_lacks(&Stage1Config::compact(), Stage1Config::compact_sweep(), &of_sweep);
 }
 

@@ -25,6 +25,6 @@ pub(crate) use extension::{pack, read, usable};
 pub(crate) use pointwise::gelu;
 pub(crate) use product::PackedWeight;
 pub use product::Precision;
-pub(crate) use sweep::{FEATURES as SWEEP_FEATURES, Partner, Sweep};
+pub(crate) use sweep::{FEATURES as SWEEP_FEATURES, FINER as SWEEP_FINER, GROUPS as SWEEP_GROUPS, Partner, Sweep};
 pub(crate) use vectorised::vectorised;
 pub(crate) use winograd::Winograd;

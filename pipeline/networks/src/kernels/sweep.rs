@@ -1,17 +1,27 @@
 //! The plane sweep: how alike the features of a cell are to those of other frames at the points of its ray.
 //!
-//! The point of cell (x, y) at a depth has the homogeneous cell coordinates `depth * turn (x, y, 1) + shift` in another
-//! frame, whose features are interpolated there. The similarity is the inner product, averaged over the frames that have
-//! the point in their image.
+//! Features stand on a grid twice as fine as the cells; a cell's own are the mean of the four on it. The point of cell
+//! (x, y) at a depth has the homogeneous grid coordinates `depth * turn (x, y, 1) + shift` in another frame, whose features
+//! are interpolated there. The similarity is the inner product within each group of features, averaged over the frames that
+//! have the point in their image.
 
 use rayon::prelude::*;
 
 use super::vectorised;
 
-/// Features of a cell.
+/// Features of a place of the grid.
 pub(crate) const FEATURES: usize = 16;
+/// Groups of features that are compared apart.
+pub(crate) const GROUPS: usize = 2;
+/// Features of a group.
+const OF_GROUP: usize = FEATURES / GROUPS;
+/// Places of the grid along the side of a cell.
+pub(crate) const FINER: usize = 2;
 /// Points nearer to the plane of another camera than this are not seen by it, internal units.
 const NEAREST_IU: f32 = 1e-3;
+
+/// Share of a place of the grid in the features of its cell.
+const OWN_SHARE: f32 = 1.0 / (FINER * FINER) as f32;
 
 type Features = [f32; FEATURES];
 
@@ -20,7 +30,7 @@ type Features = [f32; FEATURES];
 pub(crate) struct Partner {
     /// Its index.
     pub frame: usize,
-    /// Homogeneous cell coordinates here to those there, points at infinity. Row-major.
+    /// Homogeneous coordinates of cells here to those of the grid there, points at infinity. Row-major.
     pub turn: [f32; 9],
     /// What a depth of zero adds: this frame's centre seen there.
     pub shift: [f32; 3],
@@ -29,9 +39,11 @@ pub(crate) struct Partner {
 /// The plan of a sweep over the frames of a clip.
 #[derive(Debug, Clone)]
 pub(crate) struct Sweep {
-    /// Rows and columns of the map of cells.
+    /// Rows and columns of cells.
     pub size: [usize; 2],
-    /// The same of the image in cells, which need not be whole.
+    /// Rows and columns of the grid of features.
+    pub grid: [usize; 2],
+    /// The same of the image in places of the grid, which need not be whole.
     pub image: [f32; 2],
     /// Depths along the camera's z axis, internal units. `[D]`
     pub depths_iu: Vec<f32>,
@@ -39,13 +51,20 @@ pub(crate) struct Sweep {
     pub partners: Vec<Vec<Partner>>,
 }
 
-/// Four cells and their weights in a bilinear interpolation.
+/// Four places of the grid and their weights in a bilinear interpolation.
 type Corners = [(usize, f32); 4];
 
 impl Sweep {
-    /// Numbers of the result. `[S, D, h, w]`
+    /// Size of the similarity. `[S, G D, h, w]`
     #[must_use]
     pub(crate) fn shape(&self) -> [usize; 4] {
+        let [frames, depths, rows, columns] = self.shape_of_visible();
+        [frames, GROUPS * depths, rows, columns]
+    }
+
+    /// Size of the shares of frames. `[S, D, h, w]`
+    #[must_use]
+    pub(crate) fn shape_of_visible(&self) -> [usize; 4] {
         let [rows, columns] = self.size;
         [self.partners.len(), self.depths_iu.len(), rows, columns]
     }
@@ -54,6 +73,7 @@ impl Sweep {
     #[must_use]
     pub(crate) fn visible(&self) -> Vec<f32> {
         self.each_cell(
+            self.depths_iu.len(),
             #[inline(always)]
             |frame, _, counts, column| {
                 let partners = self.partners[frame].len() as f32;
@@ -64,116 +84,161 @@ impl Sweep {
         )
     }
 
-    /// Mean similarity to the frames that have the point in their image, 0 where none has. `[S, F, h, w] -> [S, D, h, w]`
+    /// Mean similarity to the frames that have the point in their image, 0 where none has; depths of a group follow each
+    /// other. `[S, F, rows, columns] -> [S, G D, h, w]`
     #[must_use]
     pub(crate) fn similarity(&self, features: &[f32]) -> Vec<f32> {
-        let features = self.by_cell(features);
-        let area = self.area();
+        let grid = self.by_place(features);
+        let depths = self.depths_iu.len();
         self.each_cell(
+            GROUPS * depths,
             #[inline(always)]
             |frame, cell, counts, column| {
-                let own = &features[frame * area + cell];
+                let own = self.own(frame, cell, &grid);
                 self.compare(
                     frame,
                     cell,
-                    &features,
+                    &grid,
                     #[inline(always)]
-                    |_, depth, _, there| column[depth] += inner(own, &there),
+                    |_, depth, _, there| {
+                        for (group, value) in inner(&own, &there).into_iter().enumerate() {
+                            column[group * depths + depth] += value;
+                        }
+                    },
                 );
-                for (sum, &count) in column.iter_mut().zip(counts) {
-                    *sum /= count.max(1.0);
+                for depths in column.chunks_exact_mut(depths) {
+                    for (sum, &count) in depths.iter_mut().zip(counts) {
+                        *sum /= count.max(1.0);
+                    }
                 }
             },
         )
     }
 
-    /// Gradient of the features, given that of the similarity. `[S, D, h, w] -> [S, F, h, w]`
+    /// Gradient of the features, given that of the similarity. `[S, G D, h, w] -> [S, F, rows, columns]`
     #[must_use]
     pub(crate) fn gradient(&self, slopes: &[f32], features: &[f32]) -> Vec<f32> {
-        let cells = self.by_cell(features);
-        let (area, depths) = (self.area(), self.depths_iu.len());
-        // Each frame adds to its own cells and to those of its partners; these sums are joined in the order of frames.
+        let grid = self.by_place(features);
+        let (cells, places, depths) = (self.cells(), self.places(), self.depths_iu.len());
+        // Each frame adds to its own places and to those of its partners; these sums are joined in the order of frames.
         let parts: Vec<Vec<(usize, Vec<Features>)>> = (0..self.partners.len())
             .into_par_iter()
             .map(|frame| {
                 let partners = self.partners[frame].iter().map(|partner| partner.frame);
                 let frames = std::iter::once(frame).chain(partners);
-                let mut sums: Vec<_> = frames.map(|frame| (frame, vec![[0.0; FEATURES]; area])).collect();
+                let mut sums: Vec<_> = frames.map(|frame| (frame, vec![[0.0; FEATURES]; places])).collect();
                 vectorised(
                     #[inline(always)]
                     || {
                         let mut counts = vec![0.0f32; depths];
-                        for cell in 0..area {
+                        for cell in 0..cells {
                             self.count(frame, cell, &mut counts);
-                            let own = &cells[frame * area + cell];
+                            let own = self.own(frame, cell, &grid);
+                            let mut of_own = [0.0; FEATURES];
                             self.compare(
                                 frame,
                                 cell,
-                                &cells,
+                                &grid,
                                 #[inline(always)]
                                 |partner, depth, corners, there| {
-                                    let slope = slopes[(frame * depths + depth) * area + cell] / counts[depth];
-                                    add(&mut sums[0].1[cell], slope, &there);
+                                    let slope = |group: usize| {
+                                        let channel = (frame * GROUPS + group) * depths + depth;
+                                        slopes[channel * cells + cell] / counts[depth]
+                                    };
+                                    let slopes: [f32; GROUPS] = std::array::from_fn(slope);
+                                    add(&mut of_own, 1.0, &by_group(&there, slopes));
+                                    let of_there = by_group(&own, slopes);
                                     for (corner, weight) in corners {
-                                        add(&mut sums[1 + partner].1[corner], slope * weight, own);
+                                        add(&mut sums[1 + partner].1[corner], weight, &of_there);
                                     }
                                 },
                             );
+                            for place in self.places_of(cell) {
+                                add(&mut sums[0].1[place], OWN_SHARE, &of_own);
+                            }
                         }
                     },
                 );
                 sums
             })
             .collect();
-        let mut total = vec![[0.0f32; FEATURES]; cells.len()];
+        let mut total = vec![[0.0f32; FEATURES]; grid.len()];
         for (frame, part) in parts.into_iter().flatten() {
-            for (sum, part) in total[frame * area..].iter_mut().zip(&part) {
+            for (sum, part) in total[frame * places..].iter_mut().zip(&part) {
                 add(sum, 1.0, part);
             }
         }
         let mut gradient = vec![0.0f32; features.len()];
-        for (map, cells) in gradient.chunks_exact_mut(FEATURES * area).zip(total.chunks_exact(area)) {
-            for (cell, values) in cells.iter().enumerate() {
+        for (map, grid) in gradient
+            .chunks_exact_mut(FEATURES * places)
+            .zip(total.chunks_exact(places))
+        {
+            for (place, values) in grid.iter().enumerate() {
                 for (channel, &value) in values.iter().enumerate() {
-                    map[channel * area + cell] = value;
+                    map[channel * places + place] = value;
                 }
             }
         }
         gradient
     }
 
-    fn area(&self) -> usize {
+    fn cells(&self) -> usize {
         self.size[0] * self.size[1]
     }
 
-    /// Features with those of a cell side by side. `[S, F, h, w] -> [S * h * w]`
-    fn by_cell(&self, features: &[f32]) -> Vec<Features> {
-        let area = self.area();
+    fn places(&self) -> usize {
+        self.grid[0] * self.grid[1]
+    }
+
+    /// Features with those of a place side by side. `[S, F, rows, columns] -> [S * rows * columns]`
+    fn by_place(&self, features: &[f32]) -> Vec<Features> {
+        let places = self.places();
         features
-            .chunks_exact(FEATURES * area)
-            .flat_map(|map| (0..area).map(|cell| std::array::from_fn(|channel| map[channel * area + cell])))
+            .chunks_exact(FEATURES * places)
+            .flat_map(|map| (0..places).map(|place| std::array::from_fn(|channel| map[channel * places + place])))
             .collect()
     }
 
-    /// Fills the depths of every cell: `fill(frame, cell, counts, values of the depths, zeros at first)`. `[S, D, h, w]`
+    /// The places of the grid on a cell; the last row or column stands twice where a cell reaches over the border.
     #[inline(always)]
-    fn each_cell(&self, fill: impl Fn(usize, usize, &[f32], &mut [f32]) + Sync) -> Vec<f32> {
-        let (area, depths) = (self.area(), self.depths_iu.len());
-        let mut out = vec![0.0f32; self.partners.len() * depths * area];
-        out.par_chunks_mut((depths * area).max(1))
+    fn places_of(&self, cell: usize) -> [usize; FINER * FINER] {
+        let [rows, columns] = self.grid;
+        let (y, x) = (cell / self.size[1] * FINER, cell % self.size[1] * FINER);
+        std::array::from_fn(|k| {
+            let (row, column) = (y + k / FINER, x + k % FINER);
+            row.min(rows - 1) * columns + column.min(columns - 1)
+        })
+    }
+
+    /// The features of a cell.
+    #[inline(always)]
+    fn own(&self, frame: usize, cell: usize, grid: &[Features]) -> Features {
+        let mut own = [0.0; FEATURES];
+        for place in self.places_of(cell) {
+            add(&mut own, OWN_SHARE, &grid[frame * self.places() + place]);
+        }
+        own
+    }
+
+    /// Fills the channels of every cell: `fill(frame, cell, counts of the depths, values, zeros at first)`. `[S, channels, h, w]`
+    #[inline(always)]
+    fn each_cell(&self, channels: usize, fill: impl Fn(usize, usize, &[f32], &mut [f32]) + Sync) -> Vec<f32> {
+        let (cells, depths) = (self.cells(), self.depths_iu.len());
+        let mut out = vec![0.0f32; self.partners.len() * channels * cells];
+        out.par_chunks_mut((channels * cells).max(1))
             .enumerate()
             .filter(|(frame, _)| !self.partners[*frame].is_empty())
             .for_each(|(frame, out)| {
                 vectorised(
                     #[inline(always)]
                     || {
-                        let (mut counts, mut column) = (vec![0.0f32; depths], vec![0.0f32; depths]);
-                        for cell in 0..area {
+                        let (mut counts, mut column) = (vec![0.0f32; depths], vec![0.0f32; channels]);
+                        for cell in 0..cells {
                             self.count(frame, cell, &mut counts);
                             column.fill(0.0);
                             fill(frame, cell, &counts, &mut column);
-                            for (depth, &value) in column.iter().enumerate() {
-                                out[depth * area + cell] = value;
+                            for (channel, &value) in column.iter().enumerate() {
+                                out[channel * cells + cell] = value;
                             }
                         }
                     },
@@ -203,12 +268,12 @@ impl Sweep {
         &self,
         frame: usize,
         cell: usize,
-        features: &[Features],
+        grid: &[Features],
         mut visit: impl FnMut(usize, usize, Corners, Features),
     ) {
-        let area = self.area();
+        let places = self.places();
         for (index, partner) in self.partners[frame].iter().enumerate() {
-            let there = &features[partner.frame * area..][..area];
+            let there = &grid[partner.frame * places..][..places];
             self.project(
                 partner,
                 cell,
@@ -221,8 +286,8 @@ impl Sweep {
     /// Visits the points of a cell's ray that lie in the image of another frame.
     #[inline(always)]
     fn project(&self, partner: &Partner, cell: usize, mut visit: impl FnMut(usize, Corners)) {
-        let [rows, columns] = self.size;
-        let (x, y) = ((cell % columns) as f32, (cell / columns) as f32);
+        let [rows, columns] = self.grid;
+        let (x, y) = ((cell % self.size[1]) as f32, (cell / self.size[1]) as f32);
         let Partner { turn, shift, .. } = partner;
         let ray: [f32; 3] = std::array::from_fn(|k| turn[3 * k] * x + turn[3 * k + 1] * y + turn[3 * k + 2]);
         for (depth, &distance) in self.depths_iu.iter().enumerate() {
@@ -250,28 +315,37 @@ impl Sweep {
     }
 }
 
-/// The cells before and after a place, and the share of the latter; the border continues outwards.
+/// The places before and after a coordinate, and the share of the latter; the border continues outwards.
 #[inline(always)]
-fn neighbours(place: f32, size: usize) -> (usize, usize, f32) {
+fn neighbours(coordinate: f32, size: usize) -> (usize, usize, f32) {
     let last = size - 1;
-    let place = place.clamp(0.0, last as f32);
-    let low = place as usize;
-    (low, (low + 1).min(last), place - low as f32)
+    let coordinate = coordinate.clamp(0.0, last as f32);
+    let low = coordinate as usize;
+    (low, (low + 1).min(last), coordinate - low as f32)
 }
 
 #[inline(always)]
-fn interpolated(cells: &[Features], corners: &Corners) -> Features {
+fn interpolated(grid: &[Features], corners: &Corners) -> Features {
     let mut sum = [0.0; FEATURES];
     for &(corner, weight) in corners {
-        add(&mut sum, weight, &cells[corner]);
+        add(&mut sum, weight, &grid[corner]);
     }
     sum
 }
 
+/// Inner products of the groups.
 #[inline(always)]
-fn inner(a: &Features, b: &Features) -> f32 {
-    let products: Features = std::array::from_fn(|k| a[k] * b[k]);
-    products.iter().sum()
+fn inner(a: &Features, b: &Features) -> [f32; GROUPS] {
+    std::array::from_fn(|group| {
+        let products: [f32; OF_GROUP] = std::array::from_fn(|k| a[group * OF_GROUP + k] * b[group * OF_GROUP + k]);
+        products.iter().sum()
+    })
+}
+
+/// Features times a number for each group.
+#[inline(always)]
+fn by_group(features: &Features, shares: [f32; GROUPS]) -> Features {
+    std::array::from_fn(|channel| features[channel] * shares[channel / OF_GROUP])
 }
 
 #[inline(always)]

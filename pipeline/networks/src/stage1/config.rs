@@ -111,7 +111,7 @@ impl Stage1Config {
     pub fn compact_sweep() -> Self {
         Self {
             name: "compact-sweep".into(),
-            sweep_depths: 48,
+            sweep_depths: 64,
             ..Self::compact()
         }
     }

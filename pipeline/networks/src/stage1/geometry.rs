@@ -52,7 +52,7 @@ impl Camera {
     }
 
     /// Direction in the reconstruction frame of the point at depth 1 seen at (u, v).
-    fn ray(&self, u: f64, v: f64) -> [f64; 3] {
+    pub(super) fn ray(&self, u: f64, v: f64) -> [f64; 3] {
         let [fx, fy, cx, cy] = self.focal_centre;
         let local = [(u - cx) / fx, (v - cy) / fy, 1.0];
         let r = &self.rotation;
@@ -97,18 +97,26 @@ impl Camera {
         [t[0], t[1], t[2], q[0], q[1], q[2], q[3], fov(fy), fov(fx)].map(|number| number as f32)
     }
 
+    /// A direction of the reconstruction frame along the camera's axes.
+    pub(super) fn turned(&self, direction: [f64; 3]) -> [f64; 3] {
+        let r = &self.rotation;
+        std::array::from_fn(|axis| (0..3).map(|k| r[3 * k + axis] * direction[k]).sum())
+    }
+
     /// Where a point of the reconstruction frame (internal units) is seen, (u, v), and its depth. A point at depth 0 has no
     /// finite place; one behind the camera has a negative depth.
     #[must_use]
     pub fn project(&self, point_iu: [f64; 3]) -> ([f64; 2], f64) {
-        let r = &self.rotation;
-        let [x, y, depth]: [f64; 3] = std::array::from_fn(|axis| {
-            (0..3)
-                .map(|k| r[3 * k + axis] * (point_iu[k] - self.translation_iu[k]))
-                .sum()
-        });
+        let [x, y, depth] = self.turned(std::array::from_fn(|k| point_iu[k] - self.translation_iu[k]));
         let [fx, fy, cx, cy] = self.focal_centre;
         ([fx * x / depth + cx, fy * y / depth + cy], depth)
+    }
+
+    /// The point of the reconstruction frame seen at (u, v) at a depth, internal units.
+    #[must_use]
+    pub fn point(&self, u: f64, v: f64, depth_iu: f64) -> [f64; 3] {
+        let ray = self.ray(u, v);
+        std::array::from_fn(|axis| ray[axis] * depth_iu + self.translation_iu[axis])
     }
 
     /// Points of a depth map in the reconstruction frame, internal units. `[H, W] -> [H, W, 3]`
@@ -117,9 +125,9 @@ impl Camera {
         let mut points = Vec::with_capacity(depth_iu.len() * 3);
         for row in 0..height {
             for column in 0..width {
-                let ray = self.ray((column as f64 + 0.5) / width as f64, (row as f64 + 0.5) / height as f64);
-                let depth = f64::from(depth_iu[row * width + column]);
-                points.extend((0..3).map(|axis| (ray[axis] * depth + self.translation_iu[axis]) as f32));
+                let (u, v) = ((column as f64 + 0.5) / width as f64, (row as f64 + 0.5) / height as f64);
+                let point = self.point(u, v, f64::from(depth_iu[row * width + column]));
+                points.extend(point.map(|value| value as f32));
             }
         }
         points

@@ -132,13 +132,7 @@ fn stem(config: &Stage1Config) -> Vec<ParameterSpec> {
     }
     let zero = Initial::Constant(0.0);
     if config.sweep_depths > 0 {
-        for (index, level) in sweep::COMPARED.into_iter().enumerate() {
-            let name = format!("stem.sweep.features.{index}");
-            list.layer(&name, &[sweep::FEATURES, channels[level], 3, 3]);
-        }
-        let own = channels[sweep::LEVEL];
-        list.layer("stem.sweep.conv1", &[sweep::HIDDEN, sweep::inputs(config), 3, 3]);
-        list.filled("stem.sweep.conv2", &[own, sweep::HIDDEN, 3, 3], zero);
+        list.0.extend(sweep(config));
     }
     let to_tokens = stem::TOKEN_LEVELS.iter().map(|&level| channels[level]).sum();
     list.filled("stem.tokens", &[config.width, to_tokens], zero);
@@ -151,6 +145,40 @@ fn stem(config: &Stage1Config) -> Vec<ParameterSpec> {
         list.layer(&format!("{scope}.conv1"), &[features, features, 3, 3]);
         list.filled(&format!("{scope}.conv2"), &[features, features, 3, 3], zero);
     }
+    list.0
+}
+
+/// The parameters of the sweep in a stem; what it says to the stem is zero at the start.
+fn sweep(config: &Stage1Config) -> Vec<ParameterSpec> {
+    let mut list = List::default();
+    let mut two_layers = |name: &str, level: usize, inputs: usize, outputs: usize| {
+        let scope = format!("stem.sweep.{name}.{level}");
+        list.layer(&format!("{scope}.conv1"), &[outputs, inputs, 3, 3]);
+        list.layer(&format!("{scope}.conv2"), &[outputs, outputs, 3, 3]);
+    };
+    let mut inputs = stem::COLOURS;
+    for (level, &outputs) in sweep::SEEING.iter().enumerate() {
+        two_layers("levels", level, inputs * stem::CELL * stem::CELL, outputs);
+        inputs = outputs;
+    }
+    let mut inputs = sweep::read(config);
+    for (level, &outputs) in sweep::READING.iter().enumerate() {
+        two_layers("down", level, inputs, outputs);
+        inputs = outputs;
+    }
+    for level in [1, 0] {
+        two_layers("up", level, inputs + sweep::READING[level], sweep::READING[level]);
+        inputs = sweep::READING[level];
+    }
+    for (level, &channels) in sweep::SEEING.iter().enumerate() {
+        list.layer(
+            &format!("stem.sweep.features.{level}"),
+            &[sweep::FEATURES, channels, 3, 3],
+        );
+    }
+    list.layer("stem.sweep.depths", &[config.sweep_depths, inputs, 1, 1]);
+    let own = config.stem_channels[sweep::LEVEL];
+    list.filled("stem.sweep.join", &[own, sweep::SAID, 3, 3], Initial::Constant(0.0));
     list.0
 }
 

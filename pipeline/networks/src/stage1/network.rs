@@ -8,6 +8,7 @@ use super::encoder::Encoder;
 use super::geometry::Camera;
 use super::head::{DenseHead, FkBranch, TAP_EPSILON};
 use super::stem::{Local, Stem};
+use super::sweep::Found;
 use crate::kernels::Precision;
 use crate::ops::standardise;
 use crate::parameters::Parameters;
@@ -151,6 +152,14 @@ impl Stage1 {
             return Ok(None);
         }
         self.stem().features(frames).map(Some)
+    }
+
+    /// What the sweep of the stem finds; `None` in a network without one, or where no frame has company.
+    ///
+    /// # Errors
+    /// As [`Self::encode`].
+    pub fn sweep(&self, frames: &SourceFrames) -> Result<Option<Found>> {
+        self.stem().sweep(frames)
     }
 
     /// Patch tokens of the images: those of the encoder, and what the stem adds to them. `[S, N, C]`

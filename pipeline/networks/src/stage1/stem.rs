@@ -17,8 +17,10 @@ use crate::{Error, Result};
 
 /// Side of the cells that a level of the stem sees as one pixel.
 pub const CELL: usize = 2;
+/// Channels of an image.
+pub(super) const COLOURS: usize = 3;
 /// Colours, and the six channels of the ray map.
-pub const INPUTS: usize = 9;
+pub const INPUTS: usize = COLOURS + 6;
 /// Levels whose features reach the tokens.
 pub const TOKEN_LEVELS: [usize; 2] = [2, 3];
 
@@ -30,9 +32,8 @@ pub type Pyramid = [Tensor<4>; 4];
 pub struct Local {
     /// Its features.
     pub levels: Pyramid,
-    /// Logarithm of the probability of each depth of the sweep; `None` without a sweep, or where no frame has company.
-    /// `[S, D, h, w]`
-    pub depths: Option<Tensor<4>>,
+    /// What the sweep finds; `None` without one, or where no frame has company.
+    pub sweep: Option<sweep::Found>,
 }
 
 impl Local {
@@ -42,7 +43,7 @@ impl Local {
         let narrow = |map: Tensor<4>| map.narrow(0, start, count);
         Self {
             levels: self.levels.clone().map(narrow),
-            depths: self.depths.clone().map(narrow),
+            sweep: self.sweep.as_ref().map(|found| found.frames_at(start, count)),
         }
     }
 }
@@ -65,44 +66,44 @@ impl<'a> Stem<'a> {
     /// # Errors
     /// When a tensor is missing or has another shape, or the frames do not fit together.
     pub fn features(&self, frames: &SourceFrames) -> Result<Local> {
+        let sweep = self.sweep(frames)?;
         let SourceFrames { images, cameras, .. } = frames;
-        let [count, _, height, width] = images.dims();
-        if cameras.len() != count {
-            let poses = cameras.len();
-            return Err(Error::BadInput(format!("{count} images come with {poses} cameras")));
-        }
+        let [_, _, height, width] = images.dims();
         let rays = ray_maps(cameras, [height, width], self.scope.device());
         let first = self.level(0, Tensor::cat(vec![normalised(images.clone()), rays], 1))?;
         let second = self.level(1, first.clone())?;
-        let [third, fourth] = self.coarse(second.clone())?;
-        let sweep = sweep::Sweeping::new(self.scope.child("sweep"), self.config);
-        let Some(swept) = sweep.join([&second, &third, &fourth], frames)? else {
-            return Ok(Local {
-                levels: [first, second, third, fourth],
-                depths: None,
-            });
+        let second = match &sweep {
+            Some(found) => self.sweeping().join(second, found)?,
+            None => second,
         };
-        let [third, fourth] = self.coarse(swept.features.clone())?;
+        let third = self.level(2, second.clone())?;
+        let fourth = self.level(3, third.clone())?;
         Ok(Local {
-            levels: [first, swept.features, third, fourth],
-            depths: Some(swept.depths),
+            levels: [first, second, third, fourth],
+            sweep,
         })
     }
 
-    /// The third and the fourth level.
-    fn coarse(&self, second: Tensor<4>) -> Result<[Tensor<4>; 2]> {
-        let third = self.level(2, second)?;
-        Ok([third.clone(), self.level(3, third)?])
+    /// What the sweep finds; `None` without one, or where no frame has company.
+    ///
+    /// # Errors
+    /// As [`Self::features`].
+    pub fn sweep(&self, frames: &SourceFrames) -> Result<Option<sweep::Found>> {
+        let (images, poses) = (frames.images.dims()[0], frames.cameras.len());
+        if poses != images {
+            return Err(Error::BadInput(format!("{images} images come with {poses} cameras")));
+        }
+        self.sweeping().find(frames)
+    }
+
+    fn sweeping(&self) -> sweep::Sweeping<'a> {
+        sweep::Sweeping::new(self.scope.child("sweep"), self.config)
     }
 
     /// Two convolutions on the cells of a map. `[S, c', h, w] -> [S, c, h / 2, w / 2]`, sizes rounded up
     fn level(&self, level: usize, map: Tensor<4>) -> Result<Tensor<4>> {
         let scope = self.scope.child(format_args!("levels.{level}"));
-        let cells = cells(map);
-        let (inputs, outputs) = (cells.dims()[1], self.config.stem_channels[level]);
-        let first = Conv::load(&scope.child("conv1"), [outputs, inputs], 3, 1)?.forward(cells);
-        let second = Conv::load(&scope.child("conv2"), [outputs; 2], 3, 1)?.forward(ops::relu(first));
-        Ok(ops::relu(second))
+        two_layers(&scope, cells(map), self.config.stem_channels[level])
     }
 
     /// What the features add to the patch tokens of a grid. `4 x [S, c, h, w] -> [S, N, C]`
@@ -118,9 +119,17 @@ impl<'a> Stem<'a> {
     }
 }
 
+/// Two rectified convolutions. `[S, c', h, w] -> [S, c, h, w]`
+pub(super) fn two_layers(scope: &Scope<'_>, map: Tensor<4>, outputs: usize) -> Result<Tensor<4>> {
+    let inputs = map.dims()[1];
+    let first = Conv::load(&scope.child("conv1"), [outputs, inputs], 3, 1)?.forward(map);
+    let second = Conv::load(&scope.child("conv2"), [outputs; 2], 3, 1)?.forward(ops::relu(first));
+    Ok(ops::relu(second))
+}
+
 /// The pixels of every cell as channels; a last row or column without a partner is doubled.
 /// `[S, c, h, w] -> [S, c * CELL^2, h / CELL, w / CELL]`, sizes rounded up
-fn cells(map: Tensor<4>) -> Tensor<4> {
+pub(super) fn cells(map: Tensor<4>) -> Tensor<4> {
     let mut map = map;
     for axis in [2, 3] {
         let size = map.dims()[axis];

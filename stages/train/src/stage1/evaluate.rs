@@ -9,6 +9,7 @@ use rogs_schemas::units::m_from_iu;
 use rogs_splat::RasterConfig;
 
 use super::forward::{Heads, attributes, gaussians, lift};
+use super::matching::relative_errors;
 use crate::config::Stage1Training;
 use crate::error::Result;
 use crate::picture::{Canvas, Picture, peak_signal};
@@ -73,6 +74,7 @@ pub(super) fn evaluate(network: &Stage1, settings: &Stage1Training) -> Result<Ev
 /// |---|---|
 /// | `head_abs_rel` | mean of abs(D - D*) / D* of the depth head at source pixels that are not robot |
 /// | `head_robot_abs_rel` | the same at pixels of the robot |
+/// | `sweep_abs_rel` | the same of the expected depth of the stem's sweep, where there is one, all cells |
 /// | `source_abs_rel`, `novel_abs_rel` | the same of rendered depth at source cameras and at right eyes |
 /// | `source_psnr`, `novel_psnr` | at query times, dB |
 /// | `robot_epe_mm` | mean distance of predicted and true displacement at robot pixels |
@@ -89,6 +91,11 @@ fn score(network: &Stage1, sample: &Sample) -> Result<Scored> {
             let robot = sample.robot[pixel] > 0.0;
             let name = if robot { "head_robot_abs_rel" } else { "head_abs_rel" };
             means.add(name, f64::from(error / sample.depth_iu[pixel]));
+        }
+    }
+    if let Some(found) = &lifted.sweep {
+        for error in relative_errors(sample, found)? {
+            means.add("sweep_abs_rel", error);
         }
     }
     let mut last = Vec::new();

@@ -4,6 +4,7 @@ use burn::tensor::{Device, Tensor};
 use rogs_networks::parameters::from_host;
 use rogs_networks::render::{ColourTensor, GaussianTensors};
 use rogs_networks::stage1::decode::{DEPTH_RANGE_IU, MotionGates, activate_attributes, gate_attributes};
+use rogs_networks::stage1::sweep::Found;
 use rogs_networks::stage1::{Attention, Encoded, HeadKind, SourceFrames, Stage1};
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 
@@ -16,8 +17,8 @@ pub struct Lifted {
     pub log_depth: Tensor<3>,
     /// The head's depth within its range, internal units. `[S, H, W]`
     pub depth: Tensor<3>,
-    /// Logarithm of the probability of each depth of the stem's sweep, in a network that has one. `[S, D, h, w]`
-    pub sweep: Option<Tensor<4>>,
+    /// What the stem's sweep found, in a network that has one.
+    pub sweep: Option<Found>,
     /// Positions after mesh anchoring, internal units. `[S, 3, H, W]`
     pub position: Tensor<4>,
     /// One a query; none when only the depth head ran.
@@ -91,7 +92,7 @@ pub fn decode(network: &Stage1, sample: &Sample, encoded: &Encoded, conditioned:
     Ok(Lifted {
         log_depth: log_depth.squeeze_dim(1),
         depth: depth.squeeze_dim(1),
-        sweep: encoded.local.as_ref().and_then(|local| local.depths.clone()),
+        sweep: encoded.local.as_ref().and_then(|local| local.sweep.clone()),
         position,
         queries,
     })

@@ -1,47 +1,104 @@
-//! What the plane sweep of the stem should find: the depth of every cell that another camera of the same moment sees too.
+//! What the plane sweep of the stem should find: the depth of every cell, and of those that another camera of the same
+//! moment sees too, by similarity alone.
 
-use rogs_networks::stage1::sweep::{CELL_PIXELS, place};
+use burn::tensor::Tensor;
+use rogs_networks::parameters::{from_host, to_host};
+use rogs_networks::stage1::sweep::{CELL_PIXELS, Found, place};
+use rogs_schemas::units::UNITS_PER_METRE;
 
+use super::objective::{EPSILON, Sum};
+use crate::config::LossWeights;
+use crate::error::Result;
 use crate::sample::Sample;
 
 /// Another camera sees a point when its reference depth there differs by less than this share.
 const SAME_SURFACE: f64 = 0.05;
 
-/// Shares of the two depths of the sweep around the reference, of every cell whose centre another camera sees; zeros
-/// elsewhere. `[S, D, h, w]`
-pub(super) fn target(sample: &Sample, [views, depths, rows, columns]: [usize; 4]) -> Vec<f32> {
-    let ([height, width], cells) = (sample.size, rows * columns);
-    let mut target = vec![0.0f32; views * depths * cells];
-    for view in 0..views {
-        let depths_iu = &sample.depth_iu[view * height * width..][..height * width];
-        let points = sample.cameras[view].unproject(depths_iu, height, width);
-        for cell in 0..cells {
-            // The pixel after the centre of the cell.
-            let [row, column] = [cell / columns, cell % columns].map(|index| CELL_PIXELS * index + CELL_PIXELS / 2);
-            if row >= height || column >= width {
-                continue;
-            }
-            let pixel = row * width + column;
-            let index = view * height * width + pixel;
-            let place = place(f64::from(sample.depth_iu[index]), depths);
-            let low = libm::floor(place);
-            let inside = sample.valid[index] > 0.0 && low >= 0.0 && low + 1.0 < depths as f64;
-            if !inside
-                || !seen_elsewhere(
-                    sample,
-                    view,
-                    std::array::from_fn(|axis| f64::from(points[3 * pixel + axis])),
-                )
-            {
-                continue;
-            }
-            let share = (place - low) as f32;
-            let first = (view * depths + low as usize) * cells + cell;
-            target[first] = 1.0 - share;
-            target[first + cells] = share;
-        }
+/// Adds the losses of what the sweep found in a clip.
+pub(super) fn add_terms(sum: &mut Sum, sample: &Sample, found: &Found, weights: &LossWeights) -> Result<()> {
+    let (shape, device) = (found.depths.dims(), found.depths.device());
+    let [views, _, rows, columns] = shape;
+    let target = Target::of(sample, shape);
+    let map = |values: Vec<f32>| from_host::<4>(values, [views, 1, rows, columns], &device);
+    let (known, seen) = (map(target.known), map(target.seen));
+    if weights.sweep > 0.0 {
+        let depths = from_host::<4>(target.depths, shape, &device);
+        let entropy = |likely: &Tensor<4>, mask: Tensor<4>| {
+            let sum = (likely.clone() * depths.clone()).sum_dim(1) * mask.clone();
+            -sum.sum() / (mask.sum() + EPSILON)
+        };
+        let loss = entropy(&found.matches, seen) + entropy(&found.depths, known.clone());
+        sum.add("sweep", weights.sweep, 1.0, loss)?;
     }
-    target
+    if weights.sweep_depth > 0.0 {
+        let error = (found.log_depth_m.clone() - map(target.log_depth_m)).abs() * known.clone();
+        let loss = error.sum() / (known.sum() + EPSILON);
+        sum.add("sweep_depth", weights.sweep_depth, 1.0, loss)?;
+    }
+    Ok(())
+}
+
+/// Absolute errors of the sweep's expected depth as shares of the reference, of all cells that have one.
+pub(super) fn relative_errors(sample: &Sample, found: &Found) -> Result<Vec<f64>> {
+    let target = Target::of(sample, found.depths.dims());
+    let expected = to_host(found.log_depth_m.clone())?;
+    let cells = expected.iter().zip(&target.log_depth_m).zip(&target.known);
+    let known = cells.filter(|(_, known)| **known > 0.0);
+    Ok(known
+        .map(|((expected, reference), _)| (libm::exp(f64::from(expected - reference)) - 1.0).abs())
+        .collect())
+}
+
+/// References of the cells of a sweep.
+struct Target {
+    /// Shares of the two depths around the reference; zeros where there is none. `[S, D, h, w]`
+    depths: Vec<f32>,
+    /// Logarithm of the reference in metres. `[S, h, w]`
+    log_depth_m: Vec<f32>,
+    /// 1 where the cell's centre has a reference between the depths, else 0. `[S, h, w]`
+    known: Vec<f32>,
+    /// 1 where another camera sees it as well. `[S, h, w]`
+    seen: Vec<f32>,
+}
+
+impl Target {
+    /// The references of a clip. `shape`: `[S, D, h, w]`
+    fn of(sample: &Sample, shape: [usize; 4]) -> Self {
+        let [views, depths, rows, columns] = shape;
+        let ([height, width], cells) = (sample.size, rows * columns);
+        let mut target = Self {
+            depths: vec![0.0; views * depths * cells],
+            log_depth_m: vec![0.0; views * cells],
+            known: vec![0.0; views * cells],
+            seen: vec![0.0; views * cells],
+        };
+        for view in 0..views {
+            for cell in 0..cells {
+                // The pixel after the centre of the cell.
+                let [row, column] = [cell / columns, cell % columns].map(|index| CELL_PIXELS * index + CELL_PIXELS / 2);
+                if row >= height || column >= width {
+                    continue;
+                }
+                let pixel = (view * height + row) * width + column;
+                let depth_iu = f64::from(sample.depth_iu[pixel]);
+                let place = place(depth_iu, depths);
+                let low = libm::floor(place);
+                if sample.valid[pixel] <= 0.0 || low < 0.0 || low + 1.0 >= depths as f64 {
+                    continue;
+                }
+                let (share, index) = ((place - low) as f32, view * cells + cell);
+                let first = (view * depths + low as usize) * cells + cell;
+                target.depths[first] = 1.0 - share;
+                target.depths[first + cells] = share;
+                target.log_depth_m[index] = libm::log(depth_iu / UNITS_PER_METRE) as f32;
+                target.known[index] = 1.0;
+                let (u, v) = ((column as f64 + 0.5) / width as f64, (row as f64 + 0.5) / height as f64);
+                let point = sample.cameras[view].point(u, v, depth_iu);
+                target.seen[index] = f32::from(seen_elsewhere(sample, view, point));
+            }
+        }
+        target
+    }
 }
 
 /// Whether another camera at the time of a view has a point of the reconstruction frame on the surface that it sees.
@@ -106,40 +163,43 @@ mod tests {
     }
 
     #[test]
-    fn cells_that_another_camera_sees_have_their_depth_as_target() {
-        let sample = before_a_wall(2.0);
-        let target = target(&sample, [4, DEPTHS, 2, 4]);
+    fn cells_have_their_depth_as_target_and_are_seen_where_another_camera_looks() {
+        let target = Target::of(&before_a_wall(2.0), [4, DEPTHS, 2, 4]);
         // At this distance a point lies 0.5 * 1 / 2 of the width further left in the second image: one cell.
-        let at = |view: usize, cell: usize| -> Vec<f64> {
-            let of = |depth: usize| f64::from(target[(view * DEPTHS + depth) * 8 + cell]);
-            (0..DEPTHS).map(of).collect()
-        };
-        let sees = |view: usize, cell: usize| (at(view, cell).iter().sum::<f64>() - 1.0).abs() < 1e-6;
         let seen: Vec<Vec<usize>> = (0..4)
-            .map(|view| (0..8).filter(|&cell| sees(view, cell)).collect())
+            .map(|view| (0..8).filter(|&cell| target.seen[view * 8 + cell] > 0.0).collect())
             .collect();
         assert_eq!(seen, [vec![1, 2, 3, 5, 6, 7], vec![0, 1, 2, 4, 5, 6], vec![], vec![]]);
-        let mean: f64 = at(0, 1)
-            .iter()
-            .enumerate()
-            .map(|(depth, share)| depth as f64 * share)
-            .sum();
-        assert!((mean - place(2.0, DEPTHS)).abs() < 1e-5);
-        assert_eq!(at(0, 1).iter().filter(|&&share| share > 0.0).count(), 2);
+        assert!(target.known.iter().all(|&known| known == 1.0));
+        let expected = libm::log(2.0 / UNITS_PER_METRE) as f32;
+        assert!(target.log_depth_m.iter().all(|&found| (found - expected).abs() < 1e-6));
+        for view in 0..4 {
+            for cell in 0..8 {
+                let of = |depth: usize| f64::from(target.depths[(view * DEPTHS + depth) * 8 + cell]);
+                let shares: Vec<f64> = (0..DEPTHS).map(of).collect();
+                let mean: f64 = shares
+                    .iter()
+                    .enumerate()
+                    .map(|(depth, share)| depth as f64 * share)
+                    .sum();
+                assert!((mean - place(2.0, DEPTHS)).abs() < 1e-5);
+                assert!((shares.iter().sum::<f64>() - 1.0).abs() < 1e-6);
+                assert_eq!(shares.iter().filter(|&&share| share > 0.0).count(), 2);
+            }
+        }
     }
 
     #[test]
-    fn hidden_cells_and_depths_outside_the_sweep_have_none() {
+    fn hidden_cells_are_not_seen_and_depths_outside_the_sweep_not_known() {
         let pixels = SIZE[0] * SIZE[1];
         let mut sample = before_a_wall(2.0);
         // Something stands in front of the second camera.
         sample.depth_iu[pixels..2 * pixels].fill(1.0);
-        assert!(
-            target(&sample, [4, DEPTHS, 2, 4])[..DEPTHS * 8]
-                .iter()
-                .all(|&share| share == 0.0)
-        );
-        let far = before_a_wall(20.0);
-        assert!(target(&far, [4, DEPTHS, 2, 4]).iter().all(|&share| share == 0.0));
+        let hidden = Target::of(&sample, [4, DEPTHS, 2, 4]);
+        assert!(hidden.seen[..8].iter().all(|&seen| seen == 0.0));
+        assert!(hidden.known.iter().all(|&known| known == 1.0));
+        let far = Target::of(&before_a_wall(20.0), [4, DEPTHS, 2, 4]);
+        let numbers = [&far.depths, &far.known, &far.seen].into_iter().flatten();
+        assert!(numbers.into_iter().all(|&number| number == 0.0));
     }
 }

@@ -27,8 +27,8 @@ use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
 use crate::sample::Sample;
 use crate::stream::{Batch, Stream, batches};
 use evaluate::evaluate;
-use forward::{Heads, lift};
-use objective::{Losses, objective};
+use forward::{Heads, lift, source_frames};
+use objective::{Losses, Objective, objective, of_sweep};
 
 /// A run between two updates.
 pub struct Stage1Trainer {
@@ -86,14 +86,16 @@ impl Stage1Trainer {
         } else {
             Heads::Depth
         };
-        let (objective, gradients) = if settings.gradient_checkpointing {
+        let (objective, gradients) = if settings.losses.only_sweep() {
+            let found = network.sweep(&source_frames(clip, network.parameters.device()))?;
+            differentiated(&network, of_sweep(clip, found.as_ref(), &settings.losses)?)?
+        } else if settings.gradient_checkpointing {
             checkpointed::differentiate(&network, clip, (conditioned, heads), losses, &mut random)?
         } else {
             let lifted = lift(&network, clip, conditioned, heads)?;
             let objective = objective(clip, &lifted, losses, &mut random)?;
             drop(lifted);
-            let gradients = optimiser::gradients(&network.parameters, &objective.loss)?;
-            (objective, gradients)
+            differentiated(&network, objective)?
         };
         if !objective.value.is_finite() {
             let bad = objective.terms.iter().find(|(_, value)| !value.is_finite());
@@ -222,6 +224,12 @@ impl Course for Stage1Trainer {
         self.step += 1;
         Ok(report)
     }
+}
+
+/// An objective with the gradients of its loss.
+fn differentiated(network: &Stage1, objective: Objective) -> Result<(Objective, Gradients)> {
+    let gradients = optimiser::gradients(&network.parameters, &objective.loss)?;
+    Ok((objective, gradients))
 }
 
 /// What a clip adds to an update.

@@ -6,6 +6,7 @@ use burn::tensor::{Device, Int, Tensor, TensorData};
 use rogs_networks::lpips::LpipsTensors;
 use rogs_networks::parameters::{from_host, to_host};
 use rogs_networks::stage1::losses;
+use rogs_networks::stage1::sweep::Found;
 use rogs_random::Pcg64;
 
 use super::forward::Lifted;
@@ -97,11 +98,8 @@ pub fn objective(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &
         let loss = losses::depth(lifted.depth.clone(), map(&sample.depth_iu), valid.clone())?;
         sum.add("depth_head", weights.depth_head, 1.0, loss)?;
     }
-    if let Some(found) = lifted.sweep.as_ref().filter(|_| weights.sweep > 0.0) {
-        let shape = found.dims();
-        let target = from_host(matching::target(sample, shape), shape, &device);
-        let loss = -(found.clone() * target.clone()).sum() / (target.sum() + EPSILON);
-        sum.add("sweep", weights.sweep, 1.0, loss)?;
+    if let Some(found) = &lifted.sweep {
+        matching::add_terms(&mut sum, sample, found, weights)?;
     }
     let tracks = track_pixels(sample, random);
     let share = 1.0 / sample.queries.len().max(1) as f64;
@@ -125,6 +123,20 @@ pub fn objective(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &
         }
         renders::add_terms(&mut sum, (sample, query), (lifted, outputs), judged, &tracks, share)?;
     }
+    Ok(sum.objective)
+}
+
+/// The same where nothing is judged but what the sweep found.
+///
+/// # Errors
+/// When it found nothing to compare, or the device fails.
+pub fn of_sweep(sample: &Sample, found: Option<&Found>, weights: &LossWeights) -> Result<Objective> {
+    let found = found.ok_or_else(|| {
+        let seed = sample.seed;
+        rogs_networks::Error::BadInput(format!("no two cameras of the clip of seed {seed} see the same moment"))
+    })?;
+    let mut sum = Sum::new(&found.depths.device());
+    matching::add_terms(&mut sum, sample, found, weights)?;
     Ok(sum.objective)
 }
 

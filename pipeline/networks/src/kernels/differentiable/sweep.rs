@@ -10,7 +10,7 @@ use crate::kernels::Sweep;
 #[derive(Debug)]
 struct Similarity(Arc<Sweep>);
 
-/// Similarity of features along the rays of a sweep. `[S, F, h, w] -> [S, D, h, w]`
+/// Similarity of features along the rays of a sweep. `[S, F, rows, columns] -> [S, G D, h, w]`
 pub(crate) fn sweep(features: Tensor<4>, plan: Arc<Sweep>) -> Tensor<4> {
     let shape = plan.shape();
     of_one(features, shape, Similarity(plan))
