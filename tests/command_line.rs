@@ -189,7 +189,7 @@ fn every_command_prints_one_json_value_when_asked() {
         "--out",
         "imported.safetensors",
         "--configuration",
-        "compact",
+        "compact-sweep",
     ];
     assert!(ask(0, &import)["tensors"].as_u64().unwrap() > 100);
     let listed = ask(0, &["weights", "list", weights]);
