@@ -335,10 +335,16 @@ impl Stage1Training {
         {
             return wrong("losses", format!("{:?}", self.losses.all()), "finite and not negative");
         }
-        if self.losses.looks_at_sweep() && network.sweep_depths == 0 {
+        let sweep = [
+            ("losses.sweep", self.losses.sweep),
+            ("losses.sweep_depth", self.losses.sweep_depth),
+        ];
+        if let Some((what, weight)) = sweep.into_iter().find(|(_, weight)| *weight > 0.0)
+            && network.sweep_depths == 0
+        {
             return wrong(
-                "losses.sweep and losses.sweep_depth",
-                format!("{} and {}", self.losses.sweep, self.losses.sweep_depth),
+                what,
+                weight.to_string(),
                 "0 for a configuration without a plane sweep; `compact-sweep` has one",
             );
         }
