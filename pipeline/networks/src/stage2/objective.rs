@@ -9,6 +9,8 @@ use serde::{Deserialize, Serialize};
 pub struct ObjectiveWeights {
     /// Absolute colour difference, source and paired-right views.
     pub rendering: f64,
+    /// How often a paired-right view counts in `rendering` where a source view counts once.
+    pub right_views: f64,
     /// Perceptual distance of the same views.
     pub perceptual: f64,
     /// Relative metric depth.
@@ -32,6 +34,7 @@ impl Default for ObjectiveWeights {
     fn default() -> Self {
         Self {
             rendering: 1.0,
+            right_views: 1.0,
             perceptual: 0.5,
             depth: 1.04,
             robot: 0.157,
@@ -111,7 +114,7 @@ pub struct UpdateOutcome {
 /// The unweighted terms of one update and their weighted sum. `[1]` each; a term without data is zero.
 #[derive(Debug, Clone)]
 pub struct ObjectiveTerms {
-    /// Mean absolute colour difference.
+    /// Mean absolute colour difference, right views counted as often as the weights say.
     pub rendering: Tensor<1>,
     /// Mean perceptual distance.
     pub perceptual: Tensor<1>,
@@ -147,12 +150,8 @@ pub fn update_objective(
     let views = &outcome.views;
     let device = views[0].rgb.device();
     let zero = || Tensor::<1>::zeros([1], &device);
-    let joined = |part: &dyn Fn(&RenderedView) -> Tensor<2>| Tensor::cat(views.iter().map(part).collect(), 0);
 
-    let rendering = absolute_difference(
-        joined(&|view| view.rgb.clone()),
-        joined(&|view| view.observed_rgb.clone()),
-    );
+    let rendering = colour_difference(views, weights.right_views);
     let perceptual = match perceptual {
         Some(distance) => Tensor::cat(views.iter().map(distance).collect(), 0).mean(),
         None => zero(),
@@ -216,6 +215,18 @@ pub fn objective(
         update_objective(outcome, weights, perceptual).total * weights.discount.powi((last - update) as i32)
     };
     Tensor::cat(updates.iter().enumerate().map(weighted).collect(), 0).sum()
+}
+
+/// Mean absolute colour difference of views, of which a right one counts `right_views` times. `[1]`
+fn colour_difference(views: &[RenderedView], right_views: f64) -> Tensor<1> {
+    let share = |view: &RenderedView| match view.side {
+        ViewSide::Source => 1.0,
+        ViewSide::PairedRight => right_views,
+    };
+    let numbers = |view: &RenderedView| 3.0 * (view.size[0] * view.size[1]) as f64;
+    let count: f64 = views.iter().map(|view| share(view) * numbers(view)).sum();
+    let sum = |view: &RenderedView| (view.rgb.clone() - view.observed_rgb.clone()).abs().sum() * share(view);
+    Tensor::cat(views.iter().map(sum).collect(), 0).sum() / count.max(1.0)
 }
 
 /// Mean absolute difference over all numbers; zero rows give zero.
@@ -321,6 +332,21 @@ mod tests {
         let total =
             1.75 / 9.0 + 0.5 * 0.5 + 1.04 * 0.25 + 0.157 * 0.015 + 2.0 * 0.106 * 0.25 + 0.059 * 0.25 + 0.065 * 0.0625;
         close("total", &terms.total, total);
+    }
+
+    #[test]
+    fn right_views_count_as_often_as_asked() {
+        let device = Device::flex();
+        let rendering = |right_views: f64| {
+            let weights = ObjectiveWeights {
+                right_views,
+                ..ObjectiveWeights::default()
+            };
+            number(update_objective(&outcome(&device), &weights, None).rendering)
+        };
+        // 1.25 in six numbers of the source view, 0.5 in three of the right one.
+        assert!((rendering(0.0) - 1.25 / 6.0).abs() < 1e-6);
+        assert!((rendering(3.0) - (1.25 + 3.0 * 0.5) / (6.0 + 3.0 * 3.0)).abs() < 1e-6);
     }
 
     #[test]
