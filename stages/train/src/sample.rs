@@ -44,6 +44,8 @@ pub struct Sample {
     pub valid: Vec<f32>,
     /// Mesh depth where it anchors, at valid robot support, internal units; 0 elsewhere. `[S, A]`
     pub mesh_depth_iu: Vec<f32>,
+    /// Whether robot pixels are anchored; if not, their FK displacement is taken at the depth that the network finds.
+    pub anchored: bool,
     /// 1 at valid robot support: what is conditioned. `[S, A]`
     pub support: Vec<f32>,
     /// Largest scale of the Gaussians at valid support, internal units; large elsewhere. `[S, A]`
@@ -61,6 +63,7 @@ impl Sample {
     #[must_use]
     pub fn without_anchors(&self) -> Self {
         let mut free = self.clone();
+        free.anchored = false;
         free.mesh_depth_iu.fill(0.0);
         free.scale_cap_iu.fill(NO_CAP_IU);
         free
@@ -74,6 +77,8 @@ pub struct Query {
     pub time: f32,
     /// Conditioning maps. `[S, 7, H, W]`
     pub kappa: Vec<f32>,
+    /// By how much the FK displacement of a conditioned pixel changes with its depth, 0 elsewhere. `[S, 3, H, W]`
+    pub fk_slope: Vec<f32>,
     /// Displacement of every source pixel from its own time to this one, internal units. `[S, 3, H, W]`
     pub displacement_iu: Vec<f32>,
     /// Views of all cameras at this time, source cameras first.
@@ -93,6 +98,13 @@ pub struct Target {
     pub depth_iu: Vec<f32>,
     /// 1 where the depth counts. `[A]`
     pub valid: Vec<f32>,
+}
+
+/// What a [`Query`] says of one view.
+struct Motion {
+    kappa: Vec<f32>,
+    fk_slope: Vec<f32>,
+    displacement_iu: Vec<f32>,
 }
 
 /// Makes what training needs of a clip.
@@ -150,6 +162,7 @@ impl<'a> Maker<'a> {
             depth_iu: Vec::with_capacity(order.len() * area),
             valid: Vec::with_capacity(order.len() * area),
             mesh_depth_iu: Vec::with_capacity(order.len() * area),
+            anchored: true,
             support: Vec::with_capacity(order.len() * area),
             scale_cap_iu: Vec::with_capacity(order.len() * area),
             robot: Vec::with_capacity(order.len() * area),
@@ -197,7 +210,7 @@ impl<'a> Maker<'a> {
 
     fn query(&self, query: u32, order: &[(usize, usize)], sources: &[Vec<View>], with_targets: bool) -> Query {
         let to = self.frame(query);
-        let maps: Vec<(Vec<f32>, Vec<f32>)> = (order.par_iter())
+        let maps: Vec<Motion> = (order.par_iter())
             .map(|&(camera, time)| {
                 let from = self.frame(self.plan.sources[time]);
                 self.motion(&sources[time][camera], camera, from, to)
@@ -221,13 +234,18 @@ impl<'a> Maker<'a> {
         Query {
             time: time_of_frame(query, self.data.clip_frames as usize) as f32,
             targets: targets.collect(),
-            kappa: maps.iter().flat_map(|(kappa, _)| kappa.iter().copied()).collect(),
-            displacement_iu: maps.iter().flat_map(|(_, motion)| motion.iter().copied()).collect(),
+            kappa: maps.iter().flat_map(|motion| &motion.kappa).copied().collect(),
+            fk_slope: maps.iter().flat_map(|motion| &motion.fk_slope).copied().collect(),
+            displacement_iu: maps
+                .iter()
+                .flat_map(|motion| &motion.displacement_iu)
+                .copied()
+                .collect(),
         }
     }
 
-    /// Conditioning map and displacement of one view's pixels from frame to frame.
-    fn motion(&self, view: &View, camera: usize, from: usize, to: usize) -> (Vec<f32>, Vec<f32>) {
+    /// How one view's pixels move from frame to frame.
+    fn motion(&self, view: &View, camera: usize, from: usize, to: usize) -> Motion {
         let lens = &self.episode.cameras[camera];
         let (width, area, k) = (lens.width as usize, view.id.len(), lens.intrinsics);
         let recon_from_camera = self.recon_from_base * self.episode.base_from_camera(camera, from);
@@ -242,7 +260,7 @@ impl<'a> Maker<'a> {
         let prior = self.prior(camera, from);
         let support = support(view, self.data.size);
         let mut kappa = vec![0.0f32; KAPPA_CHANNELS * area];
-        let mut displacement = vec![0.0f32; 3 * area];
+        let (mut fk_slope, mut displacement_iu) = (vec![0.0f32; 3 * area], vec![0.0f32; 3 * area]);
         for pixel in 0..area {
             let (row, column) = (pixel / width, pixel % width);
             kappa[5 * area + pixel] = 1.0;
@@ -263,14 +281,21 @@ impl<'a> Maker<'a> {
             );
             let point = recon_from_camera.transform_point3(ray * f64::from(depth_m));
             let moved = (motion.transform_point3(point) - point) * UNITS_PER_METRE;
+            let ray = recon_from_camera.transform_vector3(ray);
+            let slope = motion.transform_vector3(ray) - ray;
             for axis in 0..3 {
-                displacement[axis * area + pixel] = moved[axis] as f32;
+                displacement_iu[axis * area + pixel] = moved[axis] as f32;
                 if supported {
                     kappa[(2 + axis) * area + pixel] = moved[axis] as f32;
+                    fk_slope[axis * area + pixel] = slope[axis] as f32;
                 }
             }
         }
-        (kappa, displacement)
+        Motion {
+            kappa,
+            fk_slope,
+            displacement_iu,
+        }
     }
 
     fn prior(&self, camera: usize, frame: usize) -> GripperPrior {

@@ -8,7 +8,7 @@ use rogs_networks::stage1::Stage1;
 use rogs_schemas::units::m_from_iu;
 use rogs_splat::RasterConfig;
 
-use super::forward::{Heads, attributes, gaussians, lift};
+use super::forward::{Heads, attributes, decode, gaussians, source_frames};
 use super::matching::relative_errors;
 use crate::config::Stage1Training;
 use crate::error::Result;
@@ -79,10 +79,13 @@ pub(super) fn evaluate(network: &Stage1, settings: &Stage1Training) -> Result<Ev
 /// | `source_psnr`, `novel_psnr` | at query times, dB |
 /// | `robot_epe_mm` | mean distance of predicted and true displacement at robot pixels |
 /// | `robot_epe_unconditioned_mm` | the same with all conditioning maps zero |
+/// | `robot_epe_unanchored_mm` | the same without mesh anchors |
 /// | `object_epe_mm` | the same at pixels of objects |
 fn score(network: &Stage1, sample: &Sample) -> Result<Scored> {
-    let lifted = lift(network, sample, true, Heads::All)?;
-    let bare = lift(network, sample, false, Heads::All)?;
+    let encoded = network.encode(&source_frames(sample, network.parameters.device()))?;
+    let lifted = decode(network, sample, &encoded, true, Heads::All)?;
+    let bare = decode(network, sample, &encoded, false, Heads::All)?;
+    let free = decode(network, &sample.without_anchors(), &encoded, true, Heads::All)?;
     let mut means = Means::default();
     let depth = to_host(lifted.depth.clone())?;
     for pixel in 0..depth.len() {
@@ -104,12 +107,17 @@ fn score(network: &Stage1, sample: &Sample) -> Result<Scored> {
         distances(sample, query, &moved, |robot, distance| {
             means.add(if robot { "robot_epe_mm" } else { "object_epe_mm" }, distance);
         });
-        let moved = to_host(bare.queries[index].displacement.clone())?;
-        distances(sample, query, &moved, |robot, distance| {
-            if robot {
-                means.add("robot_epe_unconditioned_mm", distance);
-            }
-        });
+        for (name, other) in [
+            ("robot_epe_unconditioned_mm", &bare),
+            ("robot_epe_unanchored_mm", &free),
+        ] {
+            let moved = to_host(other.queries[index].displacement.clone())?;
+            distances(sample, query, &moved, |robot, distance| {
+                if robot {
+                    means.add(name, distance);
+                }
+            });
+        }
         let outputs = &lifted.queries[index];
         let field = gaussians(
             lifted.position.clone() + outputs.displacement.clone(),

@@ -7,6 +7,7 @@ use rogs_networks::stage1::decode::{DEPTH_RANGE_IU, MotionGates, activate_attrib
 use rogs_networks::stage1::sweep::Found;
 use rogs_networks::stage1::{Attention, Encoded, HeadKind, SourceFrames, Stage1};
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
+use rogs_schemas::units::UNITS_PER_METRE;
 
 use crate::error::Result;
 use crate::sample::{Query, Sample};
@@ -86,7 +87,7 @@ pub fn decode(network: &Stage1, sample: &Sample, encoded: &Encoded, conditioned:
     let position = rays * selected + from_host(origins, [views, 3, 1, 1], device);
 
     let queries = match heads {
-        Heads::All => decode_queries(network, sample, encoded, conditioned)?,
+        Heads::All => decode_queries(network, sample, encoded, &depth, conditioned)?,
         Heads::Depth => Vec::new(),
     };
     Ok(Lifted {
@@ -98,11 +99,17 @@ pub fn decode(network: &Stage1, sample: &Sample, encoded: &Encoded, conditioned:
     })
 }
 
-/// Runs the attribute and motion heads at all query times.
-fn decode_queries(network: &Stage1, sample: &Sample, encoded: &Encoded, conditioned: bool) -> Result<Vec<LiftedQuery>> {
+/// Runs the attribute and motion heads at all query times. `depth: [S, 1, H, W]`, as the head has it
+fn decode_queries(
+    network: &Stage1,
+    sample: &Sample,
+    encoded: &Encoded,
+    depth: &Tensor<4>,
+    conditioned: bool,
+) -> Result<Vec<LiftedQuery>> {
     let device = network.parameters.device();
     let [height, width] = sample.size;
-    let (views, area) = (sample.views.len(), height * width);
+    let views = sample.views.len();
     let (splat_head, motion_head) = (network.head(HeadKind::Splat)?, network.head(HeadKind::Motion)?);
     let timed_head = network.head(HeadKind::MotionSplat)?;
     let branch = network.fk_branch()?;
@@ -119,11 +126,11 @@ fn decode_queries(network: &Stage1, sample: &Sample, encoded: &Encoded, conditio
         let displacement = match &branch {
             Some(branch) => {
                 let kappa = if conditioned {
-                    query.kappa.clone()
+                    conditioning(sample, query, depth)
                 } else {
-                    vec![0.0; KAPPA_CHANNELS * views * area]
+                    Tensor::zeros([views, KAPPA_CHANNELS, height, width], device)
                 };
-                visual + branch.forward(from_host(kappa, [views, KAPPA_CHANNELS, height, width], device))
+                visual + branch.forward(kappa)
             }
             None => visual,
         };
@@ -139,6 +146,20 @@ fn decode_queries(network: &Stage1, sample: &Sample, encoded: &Encoded, conditio
         }
     };
     Ok(sample.queries.iter().map(query).collect())
+}
+
+/// Conditioning maps of a query. Without anchors the FK displacement is that of the points at the network's own depth, as the
+/// lift stage has it, so that errors of motion reach the depth. `[S, 1, H, W] -> [S, 7, H, W]`
+fn conditioning(sample: &Sample, query: &Query, depth: &Tensor<4>) -> Tensor<4> {
+    let (device, [views, _, height, width]) = (depth.device(), depth.dims());
+    let map = |values: &[f32], channels: usize| from_host(values.to_vec(), [views, channels, height, width], &device);
+    let kappa: Tensor<4> = map(&query.kappa, KAPPA_CHANNELS);
+    if sample.anchored {
+        return kappa;
+    }
+    let mesh_iu = kappa.clone().narrow(1, 1, 1) * UNITS_PER_METRE;
+    let moved = kappa.clone().narrow(1, 2, 3) + map(&query.fk_slope, 3) * (depth.clone() - mesh_iu);
+    Tensor::cat(vec![kappa.clone().narrow(1, 0, 2), moved, kappa.narrow(1, 5, 2)], 1)
 }
 
 /// Direction at depth one of every pixel `[S, 3, H, W]`, and the origin of every view `[S, 3]`.

@@ -154,6 +154,7 @@ mod tests {
             depth_iu: vec![distance_iu; pixels],
             valid: vec![1.0; pixels],
             mesh_depth_iu: vec![0.0; pixels],
+            anchored: true,
             support: vec![0.0; pixels],
             scale_cap_iu: vec![0.0; pixels],
             robot: vec![0.0; pixels],
