@@ -11,7 +11,7 @@ use rogs_networks::parameters::from_host;
 use rogs_networks::stage1::block::{Block, BlockKind};
 use rogs_networks::stage1::positions::RotaryTable;
 use rogs_networks::stage1::{
-    Attention, Camera, Encoded, HeadKind, Precision, SourceFrames, Stage1, Stage1Config, seeded,
+    Attention, Camera, Encoded, FramePose, HeadKind, Precision, SourceFrames, Stage1, Stage1Config, seeded,
 };
 
 const FRAMES: usize = 15;
@@ -131,6 +131,7 @@ fn whole(network: &Stage1) -> Result<f64, Box<dyn std::error::Error>> {
     let frames = SourceFrames {
         images: from_host(images, [FRAMES, 3, SIZE[0], SIZE[1]], &device),
         cameras: vec![camera; FRAMES],
+        base: FramePose::IDENTITY,
         times: (0..FRAMES).map(|frame| (frame % 5) as f32 / 4.0).collect(),
         attention: Attention::Joint,
     };

@@ -1,7 +1,7 @@
 //! Times the parts of the Stage-1 network on random frames: `cargo run --release -p rogs-networks --example stage1_time`.
 use burn::tensor::{Device, Tensor};
 use rogs_networks::parameters::{from_host, to_host};
-use rogs_networks::stage1::{Attention, Camera, HeadKind, SourceFrames, Stage1Config, seeded};
+use rogs_networks::stage1::{Attention, Camera, FramePose, HeadKind, SourceFrames, Stage1Config, seeded};
 use std::time::Instant;
 
 fn main() {
@@ -24,6 +24,7 @@ fn main() {
     let input = SourceFrames {
         images: images.clone(),
         cameras: vec![camera; frames],
+        base: FramePose::IDENTITY,
         times: (0..frames).map(|f| (f % 5) as f32 / 4.0).collect(),
         attention: Attention::Joint,
     };

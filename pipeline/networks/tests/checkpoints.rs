@@ -11,7 +11,7 @@ use rogs_networks::checkpoint::{
     open_stage1, stage1_metadata, verify_stage1, write,
 };
 use rogs_networks::parameters::{ParameterSource, Parameters};
-use rogs_networks::stage1::{Attention, Camera, SourceFrames, Stage1, Stage1Config, layout};
+use rogs_networks::stage1::{Attention, Camera, FramePose, SourceFrames, Stage1, Stage1Config, layout};
 use support::{close, host, tiny_config};
 
 fn source(name: &str, shape: &[usize], values: Vec<f32>) -> TensorSource<'static> {
@@ -32,6 +32,7 @@ fn frames(device: &Device) -> SourceFrames {
     SourceFrames {
         images: rogs_networks::parameters::from_host(images, [2, 3, 28, 42], device),
         cameras: vec![camera; 2],
+        base: FramePose::IDENTITY,
         times: vec![0.0, 1.0],
         attention: Attention::Joint,
     }

@@ -8,7 +8,7 @@ use rogs_networks::parameters::{Parameters, from_host};
 use rogs_networks::stage1::adapter::{LatentAdapter, to_token_cells};
 use rogs_networks::stage1::geometry::encode_time;
 use rogs_networks::stage1::positions::{RotaryTable, head_positions, resample_positions, resampling_matrix};
-use rogs_networks::stage1::{Attention, HeadKind, Stage1, decode, distillation};
+use rogs_networks::stage1::{Attention, FramePose, HeadKind, Stage1, decode, distillation};
 use support::{Golden, close, host, tiny};
 
 #[test]
@@ -359,6 +359,7 @@ fn support_frames(golden: &Golden, device: &Device) -> rogs_networks::stage1::So
     rogs_networks::stage1::SourceFrames {
         images: golden.tensor("in.images", [4, 3, 28, 42], device),
         cameras: golden.cameras("in.C2W", "in.fxfycxcy"),
+        base: FramePose::IDENTITY,
         times: golden.values("in.input_timesteps").to_vec(),
         attention: Attention::Joint,
     }

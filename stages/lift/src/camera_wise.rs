@@ -5,7 +5,6 @@
 //! back-projected stereo points of its source frames from that first camera. So the network sees the scene of unit size
 //! that it was released for. Its field then is multiplied by that scale and carried to the reconstruction frame.
 
-use rogs_networks::stage1::Camera;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::{RAW_CHANNELS, TimeSlice};
 use rogs_schemas::units::UNITS_PER_METRE;
@@ -85,7 +84,7 @@ fn alone<'a>(source: &Source<'a>, camera: u32) -> StageResult<(Source<'a>, Simil
         .collect();
     let first = views[0].camera;
     for view in &mut views {
-        view.camera = relative(&first, &view.camera);
+        view.camera = view.camera.seen_from(&first.pose());
     }
     let scale_iu = stereo_scale_iu(source.clip, &views)?;
     for view in &mut views {
@@ -97,18 +96,9 @@ fn alone<'a>(source: &Source<'a>, camera: u32) -> StageResult<(Source<'a>, Simil
         translation_m: first.translation_iu.map(|value| value / UNITS_PER_METRE),
         factor: scale_iu,
     };
-    Ok((Source { views, ..*source }, similarity))
-}
-
-/// A camera in the frame of another.
-fn relative(first: &Camera, camera: &Camera) -> Camera {
-    let (a, b) = (&first.rotation, &camera.rotation);
-    let moved: [f64; 3] = std::array::from_fn(|axis| camera.translation_iu[axis] - first.translation_iu[axis]);
-    Camera {
-        rotation: std::array::from_fn(|k| (0..3).map(|j| a[3 * j + k / 3] * b[3 * j + k % 3]).sum()),
-        translation_iu: std::array::from_fn(|row| (0..3).map(|j| a[3 * j + row] * moved[j]).sum()),
-        focal_centre: camera.focal_centre,
-    }
+    let mut base = source.base.seen_from(&first.pose());
+    base.translation_iu = base.translation_iu.map(|value| value / scale_iu);
+    Ok((Source { views, base, ..*source }, similarity))
 }
 
 /// Mean distance from the origin of the stereo points of some views of one camera, internal units.
@@ -238,23 +228,5 @@ mod tests {
             "the ceiling holds"
         );
         assert!(rescaled(-200.0, 2.0) < -80.0, "tiny scales stay tiny");
-    }
-
-    #[test]
-    fn relative_poses_take_the_first_camera_as_origin() {
-        let first = Camera {
-            rotation: [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0],
-            translation_iu: [1.0, 2.0, 3.0],
-            focal_centre: [1.0, 1.0, 0.5, 0.5],
-        };
-        let itself = relative(&first, &first);
-        assert_eq!(itself.rotation, [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
-        assert_eq!(itself.translation_iu, [0.0; 3]);
-        let moved = Camera {
-            translation_iu: [1.0, 3.0, 3.0],
-            ..first
-        };
-        // One unit along the world's y is one along the first camera's x, which points there.
-        assert_eq!(relative(&first, &moved).translation_iu, [1.0, 0.0, 0.0]);
     }
 }

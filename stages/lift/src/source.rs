@@ -4,7 +4,7 @@ use burn::tensor::{Device, Tensor};
 use glam::{DQuat, DVec3};
 use rogs_geometry::transform::{Base, Camera as CameraFrame, Link, Pose, Recon};
 use rogs_networks::parameters::from_host;
-use rogs_networks::stage1::{Attention, Camera, SourceFrames};
+use rogs_networks::stage1::{Attention, Camera, FramePose, SourceFrames};
 use rogs_schemas::Intrinsics;
 use rogs_schemas::records::clip::{Clip, SourceView, time_of_frame};
 use rogs_schemas::records::conditioning::{Conditioning, KAPPA_CHANNELS};
@@ -33,6 +33,8 @@ pub(crate) struct Source<'a> {
     pub(crate) robot: &'a RobotMaps,
     pub(crate) conditioning: &'a Conditioning,
     pub(crate) views: Vec<View<'a>>,
+    /// The base of the robot: recon_from_base.
+    pub(crate) base: FramePose,
 }
 
 /// How the robot moves from one view's time to a query time.
@@ -78,6 +80,7 @@ impl<'a> Source<'a> {
             robot,
             conditioning,
             views,
+            base: base(&recon_from_base),
         })
     }
 
@@ -112,6 +115,7 @@ impl<'a> Source<'a> {
         let frames = SourceFrames {
             images: images.clone(),
             cameras: self.views.iter().map(|view| view.camera).collect(),
+            base: self.base,
             times: self
                 .views
                 .iter()
@@ -257,6 +261,15 @@ fn gather<'a>(
         intrinsics,
         rgb,
     })
+}
+
+/// The base of the robot as the network sees it.
+fn base(recon_from_base: &Pose<Recon, Base>) -> FramePose {
+    let matrix = recon_from_base.to_rigid();
+    FramePose {
+        rotation: matrix.rotation,
+        translation_iu: matrix.translation.map(|metres| metres * UNITS_PER_METRE),
+    }
 }
 
 /// A stored pose with its frames.

@@ -104,6 +104,7 @@ fn the_gradient_of_every_term_agrees_with_finite_differences() {
     let example = complete(33);
     let none = ObjectiveWeights {
         rendering: 0.0,
+        right_views: 1.0,
         perceptual: 0.0,
         depth: 0.0,
         robot: 0.0,

@@ -3,7 +3,7 @@
 use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 use rogs_lift::LiftParams;
-use rogs_networks::stage1::Camera;
+use rogs_networks::stage1::{Camera, FramePose};
 use rogs_robot_maps::{SupportRule, valid_support};
 use rogs_schemas::records::clip::time_of_frame;
 use rogs_schemas::records::conditioning::{GripperPrior, KAPPA_CHANNELS};
@@ -34,6 +34,8 @@ pub struct Sample {
     pub images: Vec<f32>,
     /// Camera of each view.
     pub cameras: Vec<Camera>,
+    /// The base of the robot.
+    pub base: FramePose,
     /// The same for the rasteriser.
     pub raster_cameras: Vec<RasterCamera>,
     /// Index of the camera of each view, and its normalised time. `[S]`
@@ -157,6 +159,7 @@ impl<'a> Maker<'a> {
             size: [height, width],
             images: Vec::with_capacity(order.len() * 3 * area),
             cameras: Vec::new(),
+            base: self.base(),
             raster_cameras: Vec::new(),
             views: Vec::new(),
             depth_iu: Vec::with_capacity(order.len() * area),
@@ -311,6 +314,14 @@ impl<'a> Maker<'a> {
             depth_m: tool.z,
             focal_px: [k.fx, k.fy],
             sigma_m: rogs_conditioning::Params::default().prior_sigma_m,
+        }
+    }
+
+    fn base(&self) -> FramePose {
+        let pose = rigid_pose(&self.recon_from_base);
+        FramePose {
+            rotation: pose.rotation,
+            translation_iu: pose.translation.map(|metres| metres * UNITS_PER_METRE),
         }
     }
 

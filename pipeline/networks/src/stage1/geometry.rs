@@ -17,6 +17,35 @@ pub struct Camera {
     pub focal_centre: [f64; 4],
 }
 
+/// Where a frame stands in another one, internal units.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FramePose {
+    /// Rotation of other_from_frame, row-major.
+    pub rotation: [f64; 9],
+    /// Translation of other_from_frame, internal units.
+    pub translation_iu: [f64; 3],
+}
+
+impl FramePose {
+    /// A frame in itself.
+    pub const IDENTITY: Self = Self {
+        rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        translation_iu: [0.0; 3],
+    };
+
+    /// Where this frame stands in a third one, of which it is known where that stands: `third_from_other * other_from_frame`
+    /// for the pose `other_from_third`.
+    #[must_use]
+    pub fn seen_from(&self, third: &Self) -> Self {
+        let (a, b) = (&third.rotation, &self.rotation);
+        let between: [f64; 3] = std::array::from_fn(|axis| self.translation_iu[axis] - third.translation_iu[axis]);
+        Self {
+            rotation: std::array::from_fn(|k| (0..3).map(|j| a[3 * j + k / 3] * b[3 * j + k % 3]).sum()),
+            translation_iu: std::array::from_fn(|row| (0..3).map(|j| a[3 * j + row] * between[j]).sum()),
+        }
+    }
+}
+
 impl Camera {
     /// From a row-major 4x4 camera-to-reconstruction matrix in internal units.
     #[must_use]
@@ -27,6 +56,29 @@ impl Camera {
             rotation,
             translation_iu: [m[3], m[7], m[11]],
             focal_centre,
+        }
+    }
+
+    /// Where the camera stands: recon_from_camera.
+    #[must_use]
+    pub fn pose(&self) -> FramePose {
+        FramePose {
+            rotation: self.rotation,
+            translation_iu: self.translation_iu,
+        }
+    }
+
+    /// The same camera in the frame that stands at a pose in its present one.
+    #[must_use]
+    pub fn seen_from(&self, frame: &FramePose) -> Self {
+        let FramePose {
+            rotation,
+            translation_iu,
+        } = self.pose().seen_from(frame);
+        Self {
+            rotation,
+            translation_iu,
+            ..*self
         }
     }
 
@@ -59,23 +111,30 @@ impl Camera {
         std::array::from_fn(|row| r[3 * row] * local[0] + r[3 * row + 1] * local[1] + r[3 * row + 2] * local[2])
     }
 
+    /// The ray through (u, v): its moment o x d, internal units, and its direction d, of length one.
+    pub(super) fn plucker(&self, u: f64, v: f64) -> [f64; 6] {
+        let (o, ray) = (self.translation_iu, self.ray(u, v));
+        let norm = (ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]).sqrt();
+        let d = ray.map(|value| value / norm);
+        [
+            o[1] * d[2] - o[2] * d[1],
+            o[2] * d[0] - o[0] * d[2],
+            o[0] * d[1] - o[1] * d[0],
+            d[0],
+            d[1],
+            d[2],
+        ]
+    }
+
     /// Ray map [o x d, d]. `[6, H, W]`
     #[must_use]
     pub fn ray_map(&self, height: usize, width: usize) -> Vec<f32> {
         let area = height * width;
         let mut map = vec![0.0f32; 6 * area];
-        let o = self.translation_iu;
         for row in 0..height {
             for column in 0..width {
-                let ray = self.ray((column as f64 + 0.5) / width as f64, (row as f64 + 0.5) / height as f64);
-                let norm = (ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]).sqrt();
-                let d = ray.map(|value| value / norm);
-                let moment = [
-                    o[1] * d[2] - o[2] * d[1],
-                    o[2] * d[0] - o[0] * d[2],
-                    o[0] * d[1] - o[1] * d[0],
-                ];
-                for (channel, value) in moment.into_iter().chain(d).enumerate() {
+                let (u, v) = ((column as f64 + 0.5) / width as f64, (row as f64 + 0.5) / height as f64);
+                for (channel, value) in self.plucker(u, v).into_iter().enumerate() {
                     map[channel * area + row * width + column] = value as f32;
                 }
             }
@@ -173,4 +232,27 @@ pub fn encode_time(time: f32, frequencies: usize) -> Vec<f32> {
 pub fn ray_maps(cameras: &[Camera], [height, width]: [usize; 2], device: &Device) -> Tensor<4> {
     let maps = cameras.iter().flat_map(|camera| camera.ray_map(height, width));
     from_host(maps.collect(), [cameras.len(), 6, height, width], device)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_camera_seen_from_another_has_it_as_origin() {
+        let first = Camera {
+            rotation: [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+            translation_iu: [1.0, 2.0, 3.0],
+            focal_centre: [1.0, 1.0, 0.5, 0.5],
+        };
+        assert_eq!(first.seen_from(&first.pose()).pose(), FramePose::IDENTITY);
+        let moved = Camera {
+            translation_iu: [1.0, 3.0, 3.0],
+            ..first
+        };
+        // One unit along y of the reconstruction frame is one along x of the first camera.
+        let seen = moved.seen_from(&first.pose());
+        assert_eq!(seen.translation_iu, [1.0, 0.0, 0.0]);
+        assert_eq!(seen.rotation, FramePose::IDENTITY.rotation);
+    }
 }

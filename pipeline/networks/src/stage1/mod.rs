@@ -23,5 +23,5 @@ pub mod sweep;
 pub use crate::kernels::Precision;
 pub use aggregator::Attention;
 pub use config::{HeadKind, Stage1Config};
-pub use geometry::Camera;
+pub use geometry::{Camera, FramePose};
 pub use network::{Encoded, SourceFrames, Stage1};

@@ -5,7 +5,7 @@ use burn::tensor::Tensor;
 use super::aggregator::{Aggregator, Attention};
 use super::config::{HeadKind, Stage1Config};
 use super::encoder::Encoder;
-use super::geometry::Camera;
+use super::geometry::{Camera, FramePose};
 use super::head::{DenseHead, FkBranch, TAP_EPSILON};
 use super::stem::{Local, Stem};
 use super::sweep::Found;
@@ -33,6 +33,8 @@ pub struct SourceFrames {
     pub images: Tensor<4>,
     /// Camera of each frame, internal units. `[S]`
     pub cameras: Vec<Camera>,
+    /// The base of the robot: recon_from_base. Only a plane sweep reads it.
+    pub base: FramePose,
     /// Normalised time of each frame. `[S]`
     pub times: Vec<f32>,
     /// What global blocks see.

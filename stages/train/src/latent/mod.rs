@@ -248,6 +248,7 @@ fn without_gradients(frames: &SourceFrames) -> SourceFrames {
     SourceFrames {
         images: frames.images.clone().without_autodiff(),
         cameras: frames.cameras.clone(),
+        base: frames.base,
         times: frames.times.clone(),
         attention: frames.attention.clone(),
     }

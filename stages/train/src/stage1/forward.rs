@@ -52,6 +52,7 @@ pub fn source_frames(sample: &Sample, device: &Device) -> SourceFrames {
     SourceFrames {
         images: from_host(sample.images.clone(), [sample.views.len(), 3, height, width], device),
         cameras: sample.cameras.clone(),
+        base: sample.base,
         times: sample.views.iter().map(|&(_, time)| time).collect(),
         attention: Attention::Joint,
     }

@@ -121,7 +121,7 @@ fn seen_elsewhere(sample: &Sample, view: usize, point_iu: [f64; 3]) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use rogs_networks::stage1::Camera;
+    use rogs_networks::stage1::{Camera, FramePose};
 
     use super::*;
 
@@ -149,6 +149,7 @@ mod tests {
                 camera(0.0, true),
                 camera(0.0, false),
             ],
+            base: FramePose::IDENTITY,
             raster_cameras: Vec::new(),
             views: vec![(0, 0.0), (1, 0.0), (2, 0.0), (0, 1.0)],
             depth_iu: vec![distance_iu; pixels],

@@ -8,6 +8,7 @@
 //! What it finds is added to the second level of the stem.
 
 mod plan;
+mod rays;
 
 use std::sync::Arc;
 
@@ -17,7 +18,6 @@ use rogs_schemas::units::UNITS_PER_METRE;
 
 use super::config::Stage1Config;
 use super::encoder::normalised;
-use super::geometry::ray_maps;
 use super::network::SourceFrames;
 use super::stem;
 use crate::kernels::{self, SWEEP_FEATURES, SWEEP_GROUPS, Sweep, differentiable};
@@ -37,8 +37,6 @@ pub(super) const SEEING: [usize; 3] = [16, 32, 48];
 pub(super) const FEATURES: usize = SWEEP_FEATURES;
 /// Channels of the levels of the network that reads the similarities, from cells on, each half as large as the one before.
 pub(super) const READING: [usize; 3] = [64, 64, 72];
-/// Channels of a ray map.
-const RAYS: usize = 6;
 /// Numbers that sum up the probabilities of a cell: the expected logarithm of the depth, and how sure it is.
 const SUMMARIES: usize = 2;
 /// Logits of matches are this times the cosine of the features.
@@ -55,7 +53,7 @@ const EPSILON: f64 = 1e-6;
 /// Channels that the network reads of a cell: similarities, shares of cameras, the image's level, the ray.
 #[must_use]
 pub(super) const fn read(config: &Stage1Config) -> usize {
-    (SWEEP_GROUPS + 1) * config.sweep_depths + SEEING[LEVEL] + RAYS
+    (SWEEP_GROUPS + 1) * config.sweep_depths + SEEING[LEVEL] + rays::NUMBERS
 }
 
 /// Channels of what is said to the stem.
@@ -132,8 +130,8 @@ impl<'a> Sweeping<'a> {
         let unseen = visible.clone().lower_equal_elem(0.0).float();
         let matches = log_softmax(cosine.clone() * SHARPNESS - unseen * UNSEEN, 1);
 
-        let [_, _, height, width] = frames.images.dims();
-        let rays = ops::resize(ray_maps(&frames.cameras, [height, width], &device), [rows, columns]);
+        let rays = rays::rays(frames, depths, [rows, columns]);
+        let rays = constant(rays, [count, rays::NUMBERS, rows, columns]);
         let [_, image, _] = seen;
         let hidden = self.read(Tensor::cat(
             vec![similarity * SIMILARITY_SCALE, visible, image, rays],

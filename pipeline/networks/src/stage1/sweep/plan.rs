@@ -83,6 +83,7 @@ fn partner(from: &Camera, frame: usize, to: &Camera, [rows, columns]: [f64; 2]) 
 pub(super) mod tests {
     use burn::tensor::{Device, Tensor};
 
+    use super::super::super::geometry::FramePose;
     use super::*;
     use crate::kernels::SWEEP_FEATURES;
 
@@ -109,6 +110,7 @@ pub(super) mod tests {
         SourceFrames {
             images: Tensor::zeros([4, 3, SIZE[0] * 4, SIZE[1] * 4 - 2], &Device::flex()),
             cameras,
+            base: FramePose::IDENTITY,
             times: vec![0.0, 0.0, 0.0, 0.5],
             attention,
         }
@@ -177,6 +179,7 @@ pub(super) mod tests {
     fn a_textured_plane_is_found_at_its_depth() {
         let frames = SourceFrames {
             cameras: vec![camera(0.0, 0.0, [0.0; 3]), camera(0.0, 0.0, [0.6, 0.0, 0.0])],
+            base: FramePose::IDENTITY,
             times: vec![0.0; 2],
             images: Tensor::zeros([2, 3, 64, 96], &Device::flex()),
             attention: Attention::Joint,
