@@ -1,8 +1,9 @@
 //! Where networks run: on the processor, or (feature `gpu`) on a graphics processor through burn's wgpu backend.
 //!
 //! The kernels of this crate are for the processor. On a graphics processor every part that takes tensors runs through
-//! the operations of the framework, in f32: Stage 1 whole, and the updater of Stage 2. What is made of host arrays stays on
-//! the processor: the error encoder of Stage 2, the neighbour search, the pooling of contributions.
+//! the operations of the framework, in f32, with gradients or without: Stage 1, and the updater of Stage 2. What is made of
+//! host arrays stays on the processor: the similarities of a plane sweep that records no gradients, the error encoder of Stage 2,
+//! the neighbour search, the pooling of contributions.
 
 use burn::tensor::Device;
 

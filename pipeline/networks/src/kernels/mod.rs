@@ -5,6 +5,7 @@
 //! order. Operations on tensors that record gradients are in [`differentiable`].
 
 mod attention;
+mod axis;
 mod bf16;
 mod conv;
 mod conv_pairs;
@@ -19,12 +20,15 @@ mod vectorised;
 mod winograd;
 
 pub(crate) use attention::{HeadNorm, PackedAttention};
+pub(crate) use axis::Axis;
 pub(crate) use conv::{After, Conv3x3};
 pub(crate) use dense_tail::DenseTail;
 pub(crate) use extension::{pack, read, usable};
 pub(crate) use pointwise::gelu;
 pub(crate) use product::PackedWeight;
 pub use product::Precision;
-pub(crate) use sweep::{FEATURES as SWEEP_FEATURES, FINER as SWEEP_FINER, GROUPS as SWEEP_GROUPS, Partner, Sweep};
+pub(crate) use sweep::{
+    FEATURES as SWEEP_FEATURES, FINER as SWEEP_FINER, GROUPS as SWEEP_GROUPS, Partner, Sweep, Taps,
+};
 pub(crate) use vectorised::vectorised;
 pub(crate) use winograd::Winograd;

@@ -5,9 +5,13 @@
 //! are interpolated there. The similarity is the inner product within each group of features, averaged over the frames that
 //! have the point in their image.
 
+mod taps;
+
 use rayon::prelude::*;
 
 use super::vectorised;
+
+pub(crate) use taps::Taps;
 
 /// Features of a place of the grid.
 pub(crate) const FEATURES: usize = 16;

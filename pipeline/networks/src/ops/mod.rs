@@ -1,14 +1,18 @@
 //! The tensor operations of the networks.
 
+mod resample;
+
 use std::sync::{Arc, OnceLock};
 
 use burn::tensor::module;
-use burn::tensor::ops::{AttentionModuleOptions, ConvOptions, InterpolateMode, InterpolateOptions};
+use burn::tensor::ops::{AttentionModuleOptions, ConvOptions};
 use burn::tensor::{Tensor, activation};
 
 use crate::Result;
 use crate::kernels::{self, After, Conv3x3, HeadNorm, PackedWeight, Precision, Winograd, differentiable};
 use crate::parameters::Scope;
+
+pub use resample::resize;
 
 /// alpha / rank of low-rank updates: 16 / 32 (`stage1-network.md` section 9). The ratio is fixed, whatever the rank.
 pub const LORA_SCALE: f64 = 0.5;
@@ -391,20 +395,6 @@ impl Conv {
             },
         )
     }
-}
-
-/// Bilinear resampling that keeps the corner pixel centres in place (align_corners = true).
-#[must_use]
-pub fn resize(input: Tensor<4>, [height, width]: [usize; 2]) -> Tensor<4> {
-    let [_, _, rows, columns] = input.dims();
-    if [rows, columns] == [height, width] {
-        return input;
-    }
-    if differentiable::usable(&input) {
-        return differentiable::resize(input, [height, width]);
-    }
-    let options = InterpolateOptions::new(InterpolateMode::Bilinear).with_align_corners(true);
-    module::interpolate(input, options.with_output_size([height, width]))
 }
 
 /// max(x, 0).

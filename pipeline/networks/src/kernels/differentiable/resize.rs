@@ -4,42 +4,12 @@ use burn::tensor::Tensor;
 use rayon::prelude::*;
 
 use super::{INPUTS, InputGradients, Operation, of_one};
+use crate::kernels::Axis;
 
 #[derive(Debug)]
 struct Resize {
     rows: Axis,
     columns: Axis,
-}
-
-/// Where the outputs of one axis read: the first of two neighbours, and the share of the second.
-#[derive(Debug)]
-struct Axis {
-    inputs: usize,
-    taps: Vec<(usize, f32)>,
-}
-
-impl Axis {
-    fn new(inputs: usize, outputs: usize) -> Self {
-        let step = if outputs > 1 {
-            (inputs - 1) as f64 / (outputs - 1) as f64
-        } else {
-            0.0
-        };
-        let tap = |output: usize| {
-            let place = output as f64 * step;
-            let first = (place as usize).min(inputs.saturating_sub(2));
-            (first, (place - first as f64) as f32)
-        };
-        Self {
-            inputs,
-            taps: (0..outputs).map(tap).collect(),
-        }
-    }
-
-    /// The second neighbour of a first one.
-    fn second(&self, first: usize) -> usize {
-        (first + 1).min(self.inputs - 1)
-    }
 }
 
 /// Resamples maps. `[B, c, h, w] -> [B, c, height, width]`

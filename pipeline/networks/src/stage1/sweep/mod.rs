@@ -9,6 +9,7 @@
 
 mod plan;
 mod rays;
+mod similarity;
 
 use std::sync::Arc;
 
@@ -20,10 +21,11 @@ use super::config::Stage1Config;
 use super::encoder::normalised;
 use super::network::SourceFrames;
 use super::stem;
-use crate::kernels::{self, SWEEP_FEATURES, SWEEP_GROUPS, Sweep, differentiable};
+use crate::Result;
+use crate::kernels::{SWEEP_FEATURES, SWEEP_GROUPS};
 use crate::ops::{self, Conv};
-use crate::parameters::{Scope, from_host, to_host};
-use crate::{Error, Result};
+use crate::parameters::{Scope, from_host};
+use similarity::similarity;
 
 pub use plan::place;
 
@@ -105,7 +107,7 @@ impl<'a> Sweeping<'a> {
     /// Compares the frames; `None` without a sweep, or when no frame has another camera at its time that it may attend to.
     ///
     /// # Errors
-    /// When a tensor is missing or has another shape, or gradients are asked for on a device that has none of this.
+    /// When a tensor is missing or has another shape.
     pub(super) fn find(&self, frames: &SourceFrames) -> Result<Option<Found>> {
         if self.config.sweep_depths == 0 {
             return Ok(None);
@@ -215,25 +217,6 @@ fn resized_like(map: Tensor<4>, like: &Tensor<4>) -> Tensor<4> {
     ops::resize(map, [rows, columns])
 }
 
-/// `[S, F, rows, columns] -> [S, G D, h, w]`
-fn similarity(features: Tensor<4>, plan: Arc<Sweep>) -> Result<Tensor<4>> {
-    if differentiable::usable(&features) {
-        return Ok(differentiable::sweep(features, plan));
-    }
-    if features.is_autodiff() {
-        return Err(Error::BadInput(
-            "gradients of the plane sweep are computed on the CPU only".into(),
-        ));
-    }
-    let shape = plan.shape();
-    if kernels::usable(&features) {
-        let values = move |features: &[f32], _: &[f32]| plan.similarity(features);
-        return Ok(kernels::read(features.clone(), features, shape, values));
-    }
-    let device = features.device();
-    Ok(from_host(plan.similarity(&to_host(features)?), shape, &device))
-}
-
 #[cfg(test)]
 mod tests {
     use burn::tensor::Device;
@@ -241,6 +224,7 @@ mod tests {
     use super::super::aggregator::Attention;
     use super::plan::tests::frames;
     use super::*;
+    use crate::parameters::to_host;
     use crate::stage1::seeded;
 
     /// What is said to a stem whose features are zero: noise through seeded layers, the last one not zero.
