@@ -4,6 +4,7 @@
 use std::path::Path;
 use std::time::Instant;
 
+use burn::tensor::Device;
 use rogs_train::stream::batches;
 use rogs_train::{Course, Stage1Trainer, Stage1Training};
 
@@ -23,7 +24,7 @@ fn main() -> rogs_train::Result<()> {
     };
     let updates = arguments.next().and_then(|count| count.parse().ok()).unwrap_or(6);
     let mut stream = batches(&settings, 0);
-    let mut trainer = Stage1Trainer::new(settings)?;
+    let mut trainer = Stage1Trainer::new(settings, &Device::flex())?;
     println!("network {:.2} GiB", peak());
     for _ in 0..updates {
         let start = Instant::now();

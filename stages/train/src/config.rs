@@ -3,7 +3,9 @@
 
 use std::path::{Path, PathBuf};
 
+use burn::tensor::Device;
 use rogs_lift::Numbers;
+use rogs_networks::device;
 use rogs_networks::stage1::Stage1Config;
 use serde::{Deserialize, Serialize};
 
@@ -36,7 +38,7 @@ pub struct Stage1Training {
     /// more time.
     pub gradient_checkpointing: bool,
     /// Numbers of the products of linear layers and 3x3 convolutions, forwards and backwards: `f32`, or `bf16` with sums in
-    /// f32. Parameters, moments and everything else stay f32.
+    /// f32. Parameters, moments and everything else stay f32. `bf16` is for the CPU.
     pub precision: Numbers,
     /// Where clips come from.
     pub data: DataSettings,
@@ -396,6 +398,21 @@ impl DataSettings {
         }
         Ok(())
     }
+}
+
+/// Refuses numbers that a device has no products of.
+///
+/// # Errors
+/// When products of bfloat16 are asked for on another device than the CPU.
+pub(crate) fn check_precision(precision: Numbers, device: &Device) -> Result<()> {
+    if precision != Numbers::F32 && !device::is_cpu(device) {
+        return Err(Error::Setting {
+            what: "precision",
+            value: "bf16".into(),
+            rule: "`f32` with `--device gpu`",
+        });
+    }
+    Ok(())
 }
 
 /// A path that still holds when the settings lie in a run's folder.

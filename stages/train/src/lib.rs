@@ -8,6 +8,7 @@
 
 pub mod checkpoint;
 pub mod config;
+mod crossing;
 mod error;
 pub mod latent;
 mod perceptual;

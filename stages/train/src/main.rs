@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use burn::tensor::Device;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use rogs_networks::checkpoint::{ElementType, PROVENANCE};
 use rogs_networks::device;
@@ -33,10 +34,6 @@ enum Command {
     Stage2 {
         /// TOML file of settings; `lift` names the weights of Stage 1.
         settings: PathBuf,
-        /// Where the refiner runs and fields are lifted: `cpu`, or `gpu` where this program was built with the feature `gpu`. A run
-        /// may go on elsewhere; its updates then differ by rounding.
-        #[arg(long, default_value = "cpu")]
-        device: String,
         #[command(flatten)]
         course: CourseArguments,
     },
@@ -74,9 +71,18 @@ struct CourseArguments {
     /// Stops once this many updates are done; the schedule stays that of all of them.
     #[arg(long)]
     stop_after: Option<u64>,
+    /// Where networks run: `cpu`, or `gpu` where this program was built with the feature `gpu`. A run may go on elsewhere; its
+    /// updates then differ by rounding.
+    #[arg(long, default_value = "cpu")]
+    device: String,
 }
 
 impl CourseArguments {
+    /// The device that is named.
+    fn device(&self) -> Result<Device> {
+        Ok(device::open(&self.device)?)
+    }
+
     /// Runs a course and says where its network lies.
     fn run(&self, course: &mut impl Course) -> Result<()> {
         run(course, &self.out, self.stop_after, &mut |line| eprintln!("{line}"))?;
@@ -113,23 +119,19 @@ fn execute(command: Command) -> Result<()> {
                 settings.lpips.is_none() && settings.losses.movies_lpips > 0.0,
                 "movies_lpips",
             );
-            course.run(&mut Stage1Trainer::new(settings)?)
+            course.run(&mut Stage1Trainer::new(settings, &course.device()?)?)
         }
-        Command::Stage2 {
-            settings,
-            device,
-            course,
-        } => {
+        Command::Stage2 { settings, course } => {
             let settings = Stage2Training::read(&settings)?;
             left_out(
                 settings.lpips.is_none() && settings.losses.perceptual > 0.0,
                 "perceptual",
             );
-            course.run(&mut Stage2Trainer::new(settings, &device::open(&device)?)?)
+            course.run(&mut Stage2Trainer::new(settings, &course.device()?)?)
         }
         Command::Latent { settings, course } => {
             let settings = LatentTraining::read(&settings)?;
-            course.run(&mut LatentTrainer::new(settings)?)
+            course.run(&mut LatentTrainer::new(settings, &course.device()?)?)
         }
         Command::Export {
             folder,
@@ -141,10 +143,11 @@ fn execute(command: Command) -> Result<()> {
             // A checkpoint that the run started from need not be there any more when the state holds every parameter.
             let start = settings.start.clone();
             let missing = start.filter(|start| !start.exists());
-            let mut trainer = Stage1Trainer::new(Stage1Training {
+            let for_export = Stage1Training {
                 start: settings.start.clone().filter(|_| missing.is_none()),
                 ..settings.clone()
-            })?;
+            };
+            let mut trainer = Stage1Trainer::new(for_export, &Device::flex())?;
             let restored = RunFolder::open(&folder, &settings)?.resume(trainer.state())?;
             if let Some(path) = missing.filter(|_| restored < trainer.parameters().names().len()) {
                 return Err(Error::Folder {

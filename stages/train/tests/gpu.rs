@@ -2,13 +2,31 @@
 //! print why they are skipped.
 #![cfg(feature = "gpu")]
 
+#[path = "support/latents.rs"]
+mod latents;
+#[path = "support/losses.rs"]
+mod losses;
+mod support;
+
+use std::path::{Path, PathBuf};
+
 use burn::tensor::Device;
+use latents::workspace;
+use losses::NONE;
+use rogs_lift::Numbers;
 use rogs_networks::device;
-use rogs_train::config::DataSettings;
-use rogs_train::{Course, Stage2Trainer, Stage2Training, UpdateReport};
+use rogs_networks::optimiser::Gradients;
+use rogs_train::config::{DataSettings, LossWeights};
+use rogs_train::run::run;
+use rogs_train::{
+    Course, LatentTrainer, LatentTraining, Stage1Trainer, Stage1Training, Stage2Trainer, Stage2Training, UpdateReport,
+};
+use support::{difference, first_moments};
 
 /// Most by which a loss or a norm may differ, as a share of it.
 const TOLERANCE: f64 = 1e-3;
+/// Most by which the gradients of all parameters together may differ, as a share of their norm.
+const OF_GRADIENTS: f64 = 3e-3;
 
 fn gpu() -> Option<Device> {
     match device::open("gpu") {
@@ -30,6 +48,35 @@ fn data() -> DataSettings {
     }
 }
 
+/// The network that comes with the program, which has a plane sweep, in a folder.
+fn built_in(folder: &Path) -> PathBuf {
+    let path = folder.join("stage1.safetensors");
+    std::fs::write(&path, rogs_lift::COMPACT_WEIGHTS).unwrap();
+    path
+}
+
+/// That network under every loss that needs no weights of the user.
+fn stage1(folder: &Path) -> Stage1Training {
+    let mut settings = Stage1Training {
+        configuration: "compact-sweep".into(),
+        start: Some(built_in(folder)),
+        steps: 2,
+        checkpoint_every: 1,
+        evaluate_every: 1,
+        evaluation_clips: 1,
+        data: data(),
+        losses: LossWeights {
+            stereo_robot: 1.0,
+            sweep: 1.0,
+            sweep_depth: 1.0,
+            ..LossWeights::default()
+        },
+        ..Stage1Training::default()
+    };
+    settings.optimiser.warmup = 1;
+    settings
+}
+
 fn same(cpu: &UpdateReport, gpu: &UpdateReport) {
     let close = |what: &str, a: f64, b: f64| {
         assert!(
@@ -39,36 +86,123 @@ fn same(cpu: &UpdateReport, gpu: &UpdateReport) {
     };
     close("loss", cpu.loss, gpu.loss);
     close("norm", cpu.gradient_norm, gpu.gradient_norm);
+    assert!(cpu.terms.keys().eq(gpu.terms.keys()));
     for (name, value) in &cpu.terms {
         close(name, *value, gpu.terms[name]);
     }
 }
 
-fn updates(mut trainer: impl Course, count: usize) -> Vec<UpdateReport> {
-    let mut stream = trainer.stream().unwrap();
-    (0..count)
-        .map(|_| {
-            let batch = stream.next_item().unwrap().unwrap();
-            trainer.update(&batch).unwrap()
-        })
-        .collect()
+/// The first update of a run, and moments that are a constant times its gradients.
+fn first_update(mut trainer: impl Course) -> (UpdateReport, Gradients) {
+    let batch = trainer.stream().unwrap().next_item().unwrap().unwrap();
+    let report = trainer.update(&batch).unwrap();
+    (report, first_moments(&trainer))
+}
+
+/// Loss, terms and gradients of an update are those of the CPU.
+fn takes_the_same_update<T: Course>(gpu: &Device, on: impl Fn(&Device) -> T) {
+    let ((cpu_report, cpu_moments), (gpu_report, gpu_moments)) =
+        (first_update(on(&Device::flex())), first_update(on(gpu)));
+    same(&cpu_report, &gpu_report);
+    let found = difference(&cpu_moments, &gpu_moments);
+    println!("gradients differ by {found:.1e} of their norm");
+    assert!(found < OF_GRADIENTS, "{found}");
+}
+
+/// As a whole, in segments, and with low-rank updates alone in segments.
+#[test]
+fn stage1_takes_the_same_update() {
+    let Some(gpu) = gpu() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    for (gradient_checkpointing, lora_rank) in [(false, 0), (true, 0), (true, 4)] {
+        let mut settings = Stage1Training {
+            gradient_checkpointing,
+            ..stage1(folder.path())
+        };
+        settings.optimiser.lora_rank = lora_rank;
+        takes_the_same_update(&gpu, |device| Stage1Trainer::new(settings.clone(), device).unwrap());
+    }
+}
+
+#[test]
+fn a_sweep_alone_takes_the_same_update() {
+    let Some(gpu) = gpu() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let settings = Stage1Training {
+        losses: LossWeights {
+            sweep: 1.0,
+            sweep_depth: 1.0,
+            ..NONE
+        },
+        ..stage1(folder.path())
+    };
+    takes_the_same_update(&gpu, |device| Stage1Trainer::new(settings.clone(), device).unwrap());
+}
+
+/// Files of a run are the same on all devices: what one began another ends.
+#[test]
+fn a_run_of_stage1_goes_on_elsewhere() {
+    let Some(gpu) = gpu() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let settings = stage1(folder.path());
+    let run_on = |device: &Device, folder: &Path, stop_after: u64| {
+        let mut trainer = Stage1Trainer::new(settings.clone(), device).unwrap();
+        run(&mut trainer, folder, Some(stop_after), &mut |_| {}).unwrap();
+        first_moments(&trainer)
+    };
+    let (whole, parts) = (folder.path().join("whole"), folder.path().join("parts"));
+    let on_cpu = run_on(&Device::flex(), &whole, 2);
+    run_on(&gpu, &parts, 1);
+    let on_both = run_on(&Device::flex(), &parts, 2);
+    let found = difference(&on_cpu, &on_both);
+    println!("gradients differ by {found:.1e} of their norm");
+    assert!(found < OF_GRADIENTS, "{found}");
+}
+
+#[test]
+fn the_latent_adapter_takes_the_same_update() {
+    let Some(gpu) = gpu() else { return };
+    let root = tempfile::tempdir().unwrap();
+    let settings = workspace(root.path());
+    for gradient_checkpointing in [false, true] {
+        let settings = LatentTraining {
+            gradient_checkpointing,
+            ..settings.clone()
+        };
+        takes_the_same_update(&gpu, |device| LatentTrainer::new(settings.clone(), device).unwrap());
+    }
+    let scores = |device: &Device| {
+        let trainer = LatentTrainer::new(settings.clone(), device).unwrap();
+        trainer.evaluate().unwrap().scores
+    };
+    for ((name, cpu), (_, gpu)) in scores(&Device::flex()).iter().zip(&scores(&gpu)) {
+        assert!((cpu - gpu).abs() < TOLERANCE * cpu.abs(), "{name}: {cpu} {gpu}");
+    }
+}
+
+#[test]
+fn products_of_bfloat16_are_refused() {
+    let Some(gpu) = gpu() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let settings = Stage1Training {
+        precision: Numbers::Bf16,
+        ..stage1(folder.path())
+    };
+    let error = Stage1Trainer::new(settings, &gpu).err().unwrap().to_string();
+    assert!(error.contains("precision") && error.contains("f32"), "{error}");
 }
 
 #[test]
 fn stage2_takes_the_same_course() {
     let Some(gpu) = gpu() else { return };
     let folder = tempfile::tempdir().unwrap();
-    let lift = folder.path().join("stage1.safetensors");
-    std::fs::write(&lift, rogs_lift::COMPACT_WEIGHTS).unwrap();
     let settings = Stage2Training {
         preset: "ci".into(),
-        lift,
+        lift: built_in(folder.path()),
         steps: 2,
         data: data(),
         ..Stage2Training::default()
     };
-    let run = |device: &Device| updates(Stage2Trainer::new(settings.clone(), device).unwrap(), 1);
-    for (cpu, gpu) in run(&Device::flex()).iter().zip(&run(&gpu)) {
-        same(cpu, gpu);
-    }
+    let update = |device: &Device| first_update(Stage2Trainer::new(settings.clone(), device).unwrap()).0;
+    same(&update(&Device::flex()), &update(&gpu));
 }

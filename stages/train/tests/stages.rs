@@ -120,7 +120,7 @@ fn weights_say_what_they_were_trained_on() {
         },
         ..Stage1Training::default()
     };
-    let mut trainer = Stage1Trainer::new(settings.clone()).unwrap();
+    let mut trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
     run(&mut trainer, folder.path(), None, &mut |_| {}).unwrap();
     let built_in = folder.path().join("built-in.safetensors");
     std::fs::write(&built_in, rogs_lift::COMPACT_WEIGHTS).unwrap();

@@ -1,14 +1,18 @@
 //! Training changes the network as its settings say, and a killed run goes on as if nothing had happened.
 
+#[path = "support/losses.rs"]
+mod losses;
 mod support;
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use burn::tensor::Device;
+use losses::NONE;
 use rogs_lift::Numbers;
 use rogs_networks::checkpoint::{ElementType, TensorSource, stage1_metadata, write};
 use rogs_networks::lpips::{LpipsTensors, LpipsWeights};
+use rogs_networks::optimiser;
 use rogs_networks::parameters::to_host;
 use rogs_networks::stage1::{Stage1, Stage1Config, seeded};
 use rogs_random::Pcg64;
@@ -17,30 +21,11 @@ use rogs_train::plan::ClipPlan;
 use rogs_train::run::run;
 use rogs_train::sample::Sample;
 use rogs_train::stage1::forward::{Heads, lift};
-use rogs_train::stage1::objective::{Losses, objective};
+use rogs_train::stage1::objective::{Losses, objective, of_copies};
 use rogs_train::stage1::start;
 use rogs_train::stream::batches;
 use rogs_train::{Course, Stage1Trainer, Stage1Training};
 use support::{difference, first_moments};
-
-/// No loss at all.
-const NONE: LossWeights = LossWeights {
-    movies_mse: 0.0,
-    movies_lpips: 0.0,
-    depth_head: 0.0,
-    stereo: 0.0,
-    stereo_robot: 0.0,
-    sweep: 0.0,
-    sweep_depth: 0.0,
-    track_head: 0.0,
-    track_final: 0.0,
-    fk_head: 0.0,
-    fk_final: 0.0,
-    metric_final: 0.0,
-    metric_right: 0.0,
-    coverage: 0.0,
-    coverage_right: 0.0,
-};
 
 /// A run small enough for a test: the compact network on very small images.
 fn tiny(steps: u64) -> Stage1Training {
@@ -72,7 +57,12 @@ fn train(
     stop_after: Option<u64>,
     say: &mut dyn FnMut(&str),
 ) -> rogs_train::Result<()> {
-    run(&mut Stage1Trainer::new(settings.clone())?, folder, stop_after, say)
+    run(
+        &mut Stage1Trainer::new(settings.clone(), &Device::flex())?,
+        folder,
+        stop_after,
+        say,
+    )
 }
 
 fn sample(settings: &Stage1Training, seed: u64) -> Sample {
@@ -136,7 +126,7 @@ fn updates_are_the_same_for_any_number_of_threads() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let batch = batches(&settings, 0).next_item().unwrap().unwrap();
-            let mut trainer = Stage1Trainer::new(settings.clone()).unwrap();
+            let mut trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
             let report = trainer.update(&batch).unwrap();
             let name = "backbone.depth_head.scratch.output_conv2.2.weight";
             (report, trainer.network.parameters.host(name).unwrap())
@@ -267,7 +257,7 @@ fn gradients_are_those_of_the_reported_loss() {
             settings.configuration = "compact-sweep".into();
         }
         let value_with = |shift: f32| {
-            let mut trainer = Stage1Trainer::new(settings.clone()).unwrap();
+            let mut trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
             let shape = trainer.network.parameters.shape(name).unwrap().to_vec();
             let mut values = trainer.network.parameters.host(name).unwrap();
             // Away from zero: static pixels are at the kink of |x| before training.
@@ -308,7 +298,7 @@ fn a_sweep_is_trained_alone() {
         ..NONE
     };
     let batch = batches(&settings, 0).next_item().unwrap().unwrap();
-    let mut trainer = Stage1Trainer::new(settings.clone()).unwrap();
+    let mut trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
     let values = |trainer: &Stage1Trainer| -> BTreeMap<String, Vec<f32>> {
         let parameters = &trainer.network.parameters;
         let names = parameters.names().into_iter();
@@ -352,7 +342,7 @@ fn gradient_checkpointing_changes_no_gradient() {
             };
             settings.optimiser.lora_rank = lora_rank;
             let batch = batches(&settings, 0).next_item().unwrap().unwrap();
-            let mut trainer = Stage1Trainer::new(settings).unwrap();
+            let mut trainer = Stage1Trainer::new(settings, &Device::flex()).unwrap();
             let report = trainer.update(&batch).unwrap();
             (report, first_moments(&trainer))
         };
@@ -364,13 +354,40 @@ fn gradient_checkpointing_changes_no_gradient() {
     }
 }
 
+/// Losses on copies of the outputs, as for a network on a graphics processor, give the gradients of losses on the outputs.
+#[test]
+fn losses_on_copies_of_the_outputs_change_no_gradient() {
+    let mut settings = tiny(1);
+    settings.configuration = "compact-sweep".into();
+    (settings.losses.sweep, settings.losses.sweep_depth) = (1.0, 1.0);
+    let clip = sample(&settings, 7);
+    let losses = Losses {
+        weights: &settings.losses,
+        perceptual: None,
+    };
+    let gradients = |copied: bool| {
+        let network = start::start(&settings, &Device::flex().autodiff()).unwrap().network;
+        let network = start::tracked(&network, &settings.optimiser).unwrap();
+        let lifted = lift(&network, &clip, true, Heads::All).unwrap();
+        let judge = if copied { of_copies } else { objective };
+        let objective = judge(&clip, &lifted, losses, &mut Pcg64::from_seed(3)).unwrap();
+        let gradients = optimiser::gradients(&network.parameters, &objective.loss).unwrap();
+        (objective.terms, gradients)
+    };
+    let ((terms, whole), (same_terms, copied)) = (gradients(false), gradients(true));
+    assert!(terms.contains_key("sweep_depth") && terms.contains_key("metric_right"));
+    assert_eq!(terms, same_terms);
+    let found = difference(&whole, &copied);
+    assert!(found < 1e-5, "{found}");
+}
+
 /// Products of bfloat16 are another rounding, not another course.
 #[test]
 fn products_of_bfloat16_hardly_change_an_update() {
     let update = |precision| {
         let settings = Stage1Training { precision, ..tiny(1) };
         let batch = batches(&settings, 0).next_item().unwrap().unwrap();
-        let mut trainer = Stage1Trainer::new(settings).unwrap();
+        let mut trainer = Stage1Trainer::new(settings, &Device::flex()).unwrap();
         let report = trainer.update(&batch).unwrap();
         (report, first_moments(&trainer))
     };
@@ -391,7 +408,7 @@ fn a_network_learns_one_clip() {
     let mut settings = tiny(12);
     (settings.optimiser.rate, settings.optimiser.head_rate) = (4e-3, 4e-3);
     let clip = sample(&settings, 99);
-    let mut trainer = Stage1Trainer::new(settings).unwrap();
+    let mut trainer = Stage1Trainer::new(settings, &Device::flex()).unwrap();
     let mut losses = Vec::new();
     for step in 0..12 {
         let batch = rogs_train::stream::Batch {
@@ -449,7 +466,7 @@ fn goes_on_with_what_it_lacks(config: &Stage1Config, wanted: Stage1Config, learn
         configuration: wanted.name.clone(),
         ..tiny(1)
     };
-    let mut trainer = Stage1Trainer::new(settings.clone()).unwrap();
+    let mut trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
     assert_eq!(trainer.network.config, wanted);
     let clip = sample(&settings, 99);
     let depth = |network: &Stage1| to_host(lift(network, &clip, true, Heads::Depth).unwrap().depth).unwrap();
@@ -482,7 +499,7 @@ fn losses_of_the_depth_head_alone_train_no_other_head() {
         ..NONE
     };
     let batch = batches(&settings, 0).next_item().unwrap().unwrap();
-    let mut trainer = Stage1Trainer::new(settings).unwrap();
+    let mut trainer = Stage1Trainer::new(settings, &Device::flex()).unwrap();
     let report = trainer.update(&batch).unwrap();
     assert_eq!(report.terms.keys().collect::<Vec<_>>(), ["depth_head", "stereo"]);
     let trained: Vec<&String> = trainer.moments.by_name.keys().collect();
@@ -496,7 +513,7 @@ fn only_the_chosen_parameters_are_trained() {
     let mut settings = tiny(1);
     settings.optimiser.lora_rank = 4;
     let batch = batches(&settings, 0).next_item().unwrap().unwrap();
-    let mut trainer = Stage1Trainer::new(settings.clone()).unwrap();
+    let mut trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
     let before: Vec<_> = trainer.network.parameters.names();
     let values = |trainer: &Stage1Trainer, name: &str| trainer.network.parameters.host(name).unwrap();
     let old: Vec<Vec<f32>> = before.iter().map(|name| values(&trainer, name)).collect();

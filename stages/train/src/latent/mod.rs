@@ -20,6 +20,7 @@ pub use self::clips::LatentClip;
 use self::clips::Place;
 pub use self::settings::{LatentLosses, LatentTraining};
 use crate::checkpoint::State;
+use crate::config::check_precision;
 use crate::error::{Error, Result};
 use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
 use crate::segments::Segments;
@@ -40,13 +41,14 @@ pub struct LatentTrainer {
 }
 
 impl LatentTrainer {
-    /// A run before its first update, on the CPU, as Stage 1.
+    /// A run before its first update, on a device of its own kind with gradients.
     ///
     /// # Errors
     /// When settings are wrong, weights cannot be read or do not fit each other, or there is nothing to train on.
-    pub fn new(settings: LatentTraining) -> Result<Self> {
+    pub fn new(settings: LatentTraining, device: &Device) -> Result<Self> {
         settings.check()?;
-        let device = Device::flex().autodiff();
+        check_precision(settings.precision, device)?;
+        let device = device.clone().autodiff();
         let mut network = checkpoint::open_stage1(&settings.lift, &device)?.network;
         let mut adapter = match &settings.start {
             Some(path) => started(open_adapter(path, &device)?, &network)?,

@@ -39,7 +39,7 @@ pub struct LatentTraining {
     /// more time. Only where a loss looks behind the tokens.
     pub gradient_checkpointing: bool,
     /// Numbers of the products of linear layers and 3x3 convolutions, forwards and backwards: `f32`, or `bf16` with sums in
-    /// f32. Parameters, moments and everything else stay f32.
+    /// f32. Parameters, moments and everything else stay f32. `bf16` is for the CPU.
     pub precision: Numbers,
     /// Learning rate.
     pub rate: f64,

@@ -83,7 +83,7 @@ pub(super) fn evaluate(network: &Stage1, settings: &Stage1Training) -> Result<Ev
 /// | `object_epe_mm` | the same at pixels of objects |
 fn score(network: &Stage1, sample: &Sample) -> Result<Scored> {
     let encoded = network.encode(&source_frames(sample, network.parameters.device()))?;
-    let lifted = decode(network, sample, &encoded, true, Heads::All)?;
+    let lifted = decode(network, sample, &encoded, true, Heads::All)?.on_cpu()?;
     let bare = decode(network, sample, &encoded, false, Heads::All)?;
     let free = decode(network, &sample.without_anchors(), &encoded, true, Heads::All)?;
     let mut means = Means::default();

@@ -1,6 +1,7 @@
 //! One differentiable pass of the network over a clip.
 
 use burn::tensor::{Device, Tensor};
+use rogs_networks::device;
 use rogs_networks::parameters::from_host;
 use rogs_networks::render::{ColourTensor, GaussianTensors};
 use rogs_networks::stage1::decode::{DEPTH_RANGE_IU, MotionGates, activate_attributes, gate_attributes};
@@ -9,6 +10,7 @@ use rogs_networks::stage1::{Attention, Encoded, HeadKind, SourceFrames, Stage1};
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 use rogs_schemas::units::UNITS_PER_METRE;
 
+use crate::crossing::Crossing;
 use crate::error::Result;
 use crate::sample::{Query, Sample};
 
@@ -19,7 +21,7 @@ pub struct Lifted {
     /// The head's depth within its range, internal units. `[S, H, W]`
     pub depth: Tensor<3>,
     /// What the stem's sweep found, in a network that has one.
-    pub sweep: Option<Found>,
+    pub sweep: Option<Swept>,
     /// Positions after mesh anchoring, internal units. `[S, 3, H, W]`
     pub position: Tensor<4>,
     /// One a query; none when only the depth head ran.
@@ -34,6 +36,65 @@ pub struct LiftedQuery {
     pub displacement: Tensor<4>,
     /// Raw attributes at the query time after the gates. `[S, 12, H, W]`
     pub raw: Tensor<4>,
+}
+
+/// What a plane sweep found, as far as losses and scores read it.
+pub struct Swept {
+    /// As [`Found::matches`]. `[S, D, h, w]`
+    pub matches: Tensor<4>,
+    /// As [`Found::depths`]. `[S, D, h, w]`
+    pub depths: Tensor<4>,
+    /// As [`Found::log_depth_m`]. `[S, 1, h, w]`
+    pub log_depth_m: Tensor<4>,
+}
+
+impl Lifted {
+    /// These outputs where they lie on the CPU, else copies of them there, without gradients.
+    pub(super) fn on_cpu(self) -> Result<Self> {
+        if device::is_cpu(&self.depth.device()) {
+            return Ok(self);
+        }
+        self.copied(&mut Crossing::to(Device::flex()))
+    }
+
+    /// Copies of these outputs.
+    pub(super) fn copied(&self, crossing: &mut Crossing) -> Result<Self> {
+        let queries = self.queries.iter().map(|query| {
+            Ok(LiftedQuery {
+                base_raw: crossing.copy(&query.base_raw)?,
+                displacement: crossing.copy(&query.displacement)?,
+                raw: crossing.copy(&query.raw)?,
+            })
+        });
+        Ok(Self {
+            queries: queries.collect::<Result<_>>()?,
+            log_depth: crossing.copy(&self.log_depth)?,
+            depth: crossing.copy(&self.depth)?,
+            sweep: self.sweep.as_ref().map(|swept| swept.copied(crossing)).transpose()?,
+            position: crossing.copy(&self.position)?,
+        })
+    }
+}
+
+impl Swept {
+    /// Copies of these outputs.
+    pub(super) fn copied(&self, crossing: &mut Crossing) -> Result<Self> {
+        Ok(Self {
+            matches: crossing.copy(&self.matches)?,
+            depths: crossing.copy(&self.depths)?,
+            log_depth_m: crossing.copy(&self.log_depth_m)?,
+        })
+    }
+}
+
+impl From<&Found> for Swept {
+    fn from(found: &Found) -> Self {
+        Self {
+            matches: found.matches.clone(),
+            depths: found.depths.clone(),
+            log_depth_m: found.log_depth_m.clone(),
+        }
+    }
 }
 
 /// Which of the dense heads run.
@@ -94,7 +155,11 @@ pub fn decode(network: &Stage1, sample: &Sample, encoded: &Encoded, conditioned:
     Ok(Lifted {
         log_depth: log_depth.squeeze_dim(1),
         depth: depth.squeeze_dim(1),
-        sweep: encoded.local.as_ref().and_then(|local| local.sweep.clone()),
+        sweep: encoded
+            .local
+            .as_ref()
+            .and_then(|local| local.sweep.as_ref())
+            .map(Swept::from),
         position,
         queries,
     })

@@ -3,9 +3,10 @@
 
 use burn::tensor::Tensor;
 use rogs_networks::parameters::{from_host, to_host};
-use rogs_networks::stage1::sweep::{CELL_PIXELS, Found, place};
+use rogs_networks::stage1::sweep::{CELL_PIXELS, place};
 use rogs_schemas::units::UNITS_PER_METRE;
 
+use super::forward::Swept;
 use super::objective::{EPSILON, Sum};
 use crate::config::LossWeights;
 use crate::error::Result;
@@ -15,7 +16,7 @@ use crate::sample::Sample;
 const SAME_SURFACE: f64 = 0.05;
 
 /// Adds the losses of what the sweep found in a clip.
-pub(super) fn add_terms(sum: &mut Sum, sample: &Sample, found: &Found, weights: &LossWeights) -> Result<()> {
+pub(super) fn add_terms(sum: &mut Sum, sample: &Sample, found: &Swept, weights: &LossWeights) -> Result<()> {
     let (shape, device) = (found.depths.dims(), found.depths.device());
     let [views, _, rows, columns] = shape;
     let target = Target::of(sample, shape);
@@ -39,7 +40,7 @@ pub(super) fn add_terms(sum: &mut Sum, sample: &Sample, found: &Found, weights: 
 }
 
 /// Absolute errors of the sweep's expected depth as shares of the reference, of all cells that have one.
-pub(super) fn relative_errors(sample: &Sample, found: &Found) -> Result<Vec<f64>> {
+pub(super) fn relative_errors(sample: &Sample, found: &Swept) -> Result<Vec<f64>> {
     let target = Target::of(sample, found.depths.dims());
     let expected = to_host(found.log_depth_m.clone())?;
     let cells = expected.iter().zip(&target.log_depth_m).zip(&target.known);

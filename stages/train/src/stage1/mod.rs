@@ -13,6 +13,7 @@ use std::collections::BTreeMap;
 use burn::tensor::Device;
 use rayon::prelude::*;
 use rogs_networks::checkpoint::{PROCEDURAL, TRAINING_DOMAIN, stage1_metadata};
+use rogs_networks::device;
 use rogs_networks::lpips::LpipsTensors;
 use rogs_networks::optimiser::{self, Gradients, Moments, Rule, schedule};
 use rogs_networks::parameters::Parameters;
@@ -20,14 +21,14 @@ use rogs_networks::stage1::Stage1;
 use rogs_random::Pcg64;
 
 use crate::checkpoint::State;
-use crate::config::Stage1Training;
+use crate::config::{Stage1Training, check_precision};
 use crate::error::{Error, Result};
 use crate::perceptual::perceptual;
 use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
 use crate::sample::Sample;
 use crate::stream::{Batch, Stream, batches};
 use evaluate::evaluate;
-use forward::{Heads, lift, source_frames};
+use forward::{Heads, Swept, lift, source_frames};
 use objective::{Losses, Objective, objective, of_sweep};
 
 /// A run between two updates.
@@ -47,16 +48,17 @@ pub struct Stage1Trainer {
 }
 
 impl Stage1Trainer {
-    /// A run before its first update, on the CPU: the framework has no gradient of bilinear resampling elsewhere.
+    /// A run before its first update. The network runs on the device; rendering and losses are computed on the CPU.
     ///
     /// # Errors
     /// When settings are wrong or the checkpoint to start from cannot be opened.
-    pub fn new(settings: Stage1Training) -> Result<Self> {
+    pub fn new(settings: Stage1Training, device: &Device) -> Result<Self> {
         settings.check()?;
-        let device = Device::flex().autodiff();
+        check_precision(settings.precision, device)?;
+        let device = device.clone().autodiff();
         let mut start = start::start(&settings, &device)?;
         start.network.parameters.set_products(settings.precision.into());
-        let perceptual = perceptual(settings.lpips.as_deref(), &device)?;
+        let perceptual = perceptual(settings.lpips.as_deref(), &Device::flex().autodiff())?;
         Ok(Self {
             settings,
             network: start.network,
@@ -88,7 +90,8 @@ impl Stage1Trainer {
         };
         let (objective, gradients) = if settings.losses.only_sweep() {
             let found = network.sweep(&source_frames(clip, network.parameters.device()))?;
-            differentiated(&network, of_sweep(clip, found.as_ref(), &settings.losses)?)?
+            let swept = found.as_ref().map(Swept::from);
+            differentiated(&network, of_sweep(clip, swept.as_ref(), &settings.losses)?)?
         } else if settings.gradient_checkpointing {
             checkpointed::differentiate(&network, clip, (conditioned, heads), losses, &mut random)?
         } else {
@@ -177,13 +180,16 @@ impl Course for Stage1Trainer {
         metadata
     }
 
-    // Clips are differentiated side by side on as many threads as there are; their gradients are added up in their order.
+    // Clips are differentiated side by side on as many threads as there are, on a graphics processor one after the other; their
+    // gradients are added up in their order.
     fn update(&mut self, batch: &Batch) -> Result<UpdateReport> {
-        let results: Vec<Result<ClipResult>> = (0..batch.clips.len())
-            .into_par_iter()
-            .with_max_len(1)
-            .map(|index| self.differentiate(&batch.clips[index], index as u64))
-            .collect();
+        let differentiated = |index: usize| self.differentiate(&batch.clips[index], index as u64);
+        let clips = 0..batch.clips.len();
+        let results: Vec<Result<ClipResult>> = if device::is_cpu(self.network.parameters.device()) {
+            clips.into_par_iter().with_max_len(1).map(differentiated).collect()
+        } else {
+            clips.map(differentiated).collect()
+        };
         let mut sum = Gradients::new();
         let mut terms: BTreeMap<String, f64> = BTreeMap::new();
         let (mut loss, share) = (0.0, 1.0 / batch.clips.len().max(1) as f64);

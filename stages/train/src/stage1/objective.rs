@@ -3,16 +3,17 @@
 use std::collections::BTreeMap;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
+use rogs_networks::device;
 use rogs_networks::lpips::LpipsTensors;
 use rogs_networks::parameters::{from_host, to_host};
 use rogs_networks::stage1::losses;
-use rogs_networks::stage1::sweep::Found;
 use rogs_random::Pcg64;
 
-use super::forward::Lifted;
+use super::forward::{Lifted, Swept};
 use super::matching;
 use super::renders;
 use crate::config::LossWeights;
+use crate::crossing::Crossing;
 use crate::error::Result;
 use crate::sample::Sample;
 
@@ -29,7 +30,7 @@ pub struct Objective {
     pub terms: BTreeMap<&'static str, f64>,
     /// The weighted sum.
     pub value: f64,
-    /// The same as a tensor, for its gradients. `[1]`
+    /// A tensor with its gradients with respect to the outputs, on their device. `[1]`
     pub loss: Tensor<1>,
 }
 
@@ -38,7 +39,7 @@ pub struct Objective {
 pub struct Losses<'a> {
     /// Weight of each term.
     pub weights: &'a LossWeights,
-    /// The network of `movies_lpips`, on the device of the outputs; that term is left out without it.
+    /// The network of `movies_lpips`, on the CPU; that term is left out without it.
     pub perceptual: Option<&'a LpipsTensors>,
 }
 
@@ -66,11 +67,35 @@ fn track_pixels(sample: &Sample, random: &mut Pcg64) -> Vec<i32> {
     chosen
 }
 
-/// The objective of one clip; terms whose weight is 0 are not computed.
+/// The objective of one clip; terms whose weight is 0 are not computed. Wherever the network ran, losses are computed on the
+/// CPU, where the rasteriser has its backward pass.
 ///
 /// # Errors
-/// When the device or the rasteriser fails.
+/// When a device or the rasteriser fails.
 pub fn objective(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &mut Pcg64) -> Result<Objective> {
+    if device::is_cpu(&lifted.depth.device()) {
+        of_outputs(sample, lifted, judged, random)
+    } else {
+        of_copies(sample, lifted, judged, random)
+    }
+}
+
+/// The objective of copies of a network's outputs on the CPU; its gradients are those of the outputs.
+///
+/// # Errors
+/// As [`objective`].
+pub fn of_copies(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &mut Pcg64) -> Result<Objective> {
+    let mut crossing = Crossing::to(Device::flex().autodiff());
+    let copies = lifted.copied(&mut crossing)?;
+    let objective = of_outputs(sample, &copies, judged, random)?;
+    let loss = crossing.back(&mut objective.loss.backward())?;
+    Ok(Objective {
+        loss: loss.unwrap_or_else(|| Tensor::zeros([1], &lifted.depth.device())),
+        ..objective
+    })
+}
+
+fn of_outputs(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &mut Pcg64) -> Result<Objective> {
     let weights = judged.weights;
     let device = lifted.depth.device();
     let [height, width] = sample.size;
@@ -130,7 +155,7 @@ pub fn objective(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &
 ///
 /// # Errors
 /// When it found nothing to compare, or the device fails.
-pub fn of_sweep(sample: &Sample, found: Option<&Found>, weights: &LossWeights) -> Result<Objective> {
+pub fn of_sweep(sample: &Sample, found: Option<&Swept>, weights: &LossWeights) -> Result<Objective> {
     let found = found.ok_or_else(|| {
         let seed = sample.seed;
         rogs_networks::Error::BadInput(format!("no two cameras of the clip of seed {seed} see the same moment"))

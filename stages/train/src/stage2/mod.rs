@@ -8,8 +8,6 @@ mod views;
 use std::collections::BTreeMap;
 
 use burn::tensor::{Device, Tensor};
-use rogs_lift::Numbers;
-use rogs_networks::device;
 use rogs_networks::lpips::LpipsTensors;
 use rogs_networks::optimiser::{self, Moments, schedule};
 use rogs_networks::parameters::Parameters;
@@ -25,6 +23,7 @@ use self::lifted::Lifter;
 pub use self::settings::Stage2Training;
 use self::views::{picture, seen, view};
 use crate::checkpoint::State;
+use crate::config::check_precision;
 use crate::error::{Error, Result};
 use crate::perceptual::perceptual;
 use crate::picture::peak_signal;
@@ -70,13 +69,7 @@ impl Stage2Trainer {
     /// When settings are wrong or the weights to start from cannot be read.
     pub fn new(settings: Stage2Training, device: &Device) -> Result<Self> {
         settings.check()?;
-        if settings.precision != Numbers::F32 && !device::is_cpu(device) {
-            return Err(Error::Setting {
-                what: "precision",
-                value: "bf16".into(),
-                rule: "`f32` with `--device gpu`",
-            });
-        }
+        check_precision(settings.precision, device)?;
         let config = RefinerConfig::preset(&settings.preset)?;
         let device = device.clone().autodiff();
         let mut parameters = match &settings.start {

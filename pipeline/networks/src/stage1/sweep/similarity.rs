@@ -41,9 +41,9 @@ fn by_gathering(features: &Tensor<4>, plan: &Sweep, depths_at_a_time: usize) -> 
     let (depths, cells) = (plan.depths_iu.len(), rows * columns);
     let grid = features.clone().reshape([frames, FEATURES, grid_rows * grid_columns]);
     let of_frame = |frame: usize| grid.clone().narrow(0, frame, 1);
-    let own_taps = Points::new(&plan.own_taps(), 0, [1, cells], &device);
+    let of_cells = Points::new(&plan.own_taps(), 0, [1, cells], &device);
     let compared = |frame: usize| {
-        let (own, taps) = (own_taps.read(of_frame(frame)), plan.partner_taps(frame));
+        let (own, taps) = (of_cells.read(of_frame(frame)), plan.partner_taps(frame));
         // [d, G, 1, h w], unless there is no partner
         let at_depths = |first: usize| {
             let shape = [depths_at_a_time.min(depths - first), cells];
