@@ -84,13 +84,15 @@ fn dependencies_point_one_way() {
     let is_stage = |name: &str| name.strip_prefix("rogs-").is_some_and(|name| stages.contains(&name));
     let allowed = |name: &str| -> &[&str] {
         match name {
-            "rogs-schemas" | "rogs-random" => &[],
+            "rogs-schemas" | "rogs-random" | "rogs-flat-exr" | "rogs-pages" => &[],
             "rogs-geometry" | "rogs-splat" | "rogs-worker" => &["rogs-schemas"],
             "rogs-networks" => &["rogs-schemas", "rogs-splat"],
-            "rogs-orchestrator" => &["rogs-schemas", "rogs-random"],
+            "rogs-orchestrator" => &["rogs-schemas", "rogs-random", "rogs-pages"],
             _ => &[
                 "rogs-schemas",
                 "rogs-random",
+                "rogs-flat-exr",
+                "rogs-pages",
                 "rogs-geometry",
                 "rogs-splat",
                 "rogs-networks",

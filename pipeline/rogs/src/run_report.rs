@@ -8,11 +8,10 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use rogs_orchestrator::ledger::{last_by_output, read_all};
 use rogs_orchestrator::plan::{Plan, Unit, read_plan};
-use rogs_orchestrator::report::{
-    ClipReport, FailureReport, Plot, PlotPoint, ReportInput, ReportTable, Series, TimingReport, write_report,
-};
+use rogs_orchestrator::report::{ClipReport, FailureReport, ReportInput, ReportTable, TimingReport, write_report};
 use rogs_orchestrator::state::OutputState;
 use rogs_orchestrator::status::status_of;
+use rogs_pages::{Plot, PlotPoint, Series};
 use rogs_schemas::ledger::Attempt;
 use rogs_schemas::read_record;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
@@ -288,7 +287,7 @@ fn recurrence_plot(sheets: &[ScoreSheet], metric: Metric, label: &str) -> Plot {
             Vec::new()
         },
         lines: true,
-        diagonal: false,
+        ..Plot::default()
     }
 }
 

@@ -1,13 +1,9 @@
 //! Reading images and depth maps from files that belong to no manifest: PNG, JPEG, OpenEXR, numpy's `.npz` and
 //! safetensors.
 
-use std::fs::File;
-use std::io::{BufReader, Seek as _};
 use std::path::{Path, PathBuf};
 
-use exr::meta::header::Header;
-use exr::meta::{BlockDescription, MetaData};
-use exr::prelude::{FlatSamples, ReadChannels as _, ReadLayers as _, read};
+use rogs_flat_exr::{ExrError, FlatExr};
 
 use crate::metrics::Pixels;
 use crate::outside::{Array, ArrayFile, Values};
@@ -16,12 +12,8 @@ use crate::outside::{Array, ArrayFile, Values};
 pub const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "exr", "npz", "safetensors"];
 /// Largest image side that is read, pixels.
 const MAX_SIDE: usize = 1 << 15;
-/// Most memory that one decoded image may take, and the longest OpenEXR file, bytes.
+/// Most memory that one decoded image may take, bytes.
 const MAX_IMAGE_BYTES: u64 = 1 << 30;
-/// Most channels of an OpenEXR image; all of a file's are decoded.
-const MAX_CHANNELS: usize = 16;
-/// Largest side of an OpenEXR tile, pixels.
-const MAX_TILE: usize = 8192;
 
 /// What a file holds for one comparison.
 #[derive(Debug, Clone, PartialEq)]
@@ -159,49 +151,17 @@ fn read_image(path: &Path) -> Result<Picture, PictureError> {
 }
 
 fn read_exr(path: &Path) -> Result<Picture, PictureError> {
-    let io = |source| PictureError::Read {
-        path: path.to_owned(),
-        source,
+    let bad = |error: ExrError| match error {
+        ExrError::Read(source) => PictureError::Read {
+            path: path.to_owned(),
+            source,
+        },
+        other => PictureError::wrong(path, other.to_string()),
     };
-    let bad = |error: exr::error::Error| PictureError::wrong(path, format!("not a readable OpenEXR image: {error}"));
-    let mut file = File::open(path).map_err(io)?;
-    if file.metadata().map_err(io)?.len() > MAX_IMAGE_BYTES {
-        return Err(PictureError::wrong(path, "the file is larger than 1 GiB"));
-    }
-    // The header is checked before anything is allocated for the pixels it announces.
-    let meta = MetaData::read_from_buffered(BufReader::new(&mut file), true).map_err(bad)?;
-    let [header] = meta.headers.as_slice() else {
-        let what = format!("it has {} parts, expected one", meta.headers.len());
-        return Err(PictureError::wrong(path, what));
-    };
-    let chosen = channels(header).map_err(|what| PictureError::wrong(path, what))?;
-    let (width, height) = (header.layer_size.0, header.layer_size.1);
-    file.rewind().map_err(io)?;
-    let image = read()
-        .no_deep_data()
-        .largest_resolution_level()
-        .all_channels()
-        .first_valid_layer()
-        .all_attributes()
-        .non_parallel()
-        .from_buffered(BufReader::new(file))
-        .map_err(bad)?;
-    let samples = image.layer_data.channel_data.list;
-    let mut planes = Vec::with_capacity(chosen.len());
-    for &channel in &chosen {
-        let values: Vec<f32> = match samples.get(channel).map(|channel| &channel.sample_data) {
-            Some(FlatSamples::F32(values)) => values.clone(),
-            Some(FlatSamples::F16(values)) => values.iter().map(|value| value.to_f32()).collect(),
-            _ => return Err(PictureError::wrong(path, "its channels must be floating point")),
-        };
-        if values.len() != height * width {
-            return Err(PictureError::wrong(
-                path,
-                "its channels have another size than the image",
-            ));
-        }
-        planes.push(values);
-    }
+    let image = FlatExr::open(path).map_err(bad)?;
+    let (height, width) = (image.height, image.width);
+    let chosen = channels(&image).map_err(|what| PictureError::wrong(path, what))?;
+    let planes = image.planes(&chosen).map_err(bad)?;
     let content = match <[Vec<f32>; 3]>::try_from(planes) {
         Ok([r, g, b]) => {
             let pixels = r.iter().zip(&g).zip(&b);
@@ -217,42 +177,16 @@ fn read_exr(path: &Path) -> Result<Picture, PictureError> {
     })
 }
 
-/// Positions of the channels R, G and B, or of the one that is depth; or what is wrong with the header.
-fn channels(header: &Header) -> Result<Vec<usize>, String> {
-    if header.deep {
-        return Err("deep images have several values a pixel; save a flat image".into());
-    }
-    let (width, height) = (header.layer_size.0, header.layer_size.1);
-    let list = &header.channels.list;
-    if width > MAX_SIDE || height > MAX_SIDE || list.len() > MAX_CHANNELS {
-        return Err(format!(
-            "it is {height}x{width} pixels of {} channels; at most {MAX_SIDE} a side and {MAX_CHANNELS} are read",
-            list.len()
-        ));
-    }
-    if (width * height * list.len()) as u64 > MAX_IMAGE_BYTES / 4 {
-        return Err("its pixels take more than 1 GiB".into());
-    }
-    if let BlockDescription::Tiles(tiles) = header.blocks
-        && (tiles.tile_size.0 > MAX_TILE || tiles.tile_size.1 > MAX_TILE)
-    {
-        return Err(format!("its tiles are {}x{}", tiles.tile_size.0, tiles.tile_size.1));
-    }
-    if list
-        .iter()
-        .any(|channel| (channel.sampling.0, channel.sampling.1) != (1, 1))
-    {
-        return Err("channels are subsampled; save every pixel".into());
-    }
-    let names: Vec<String> = list.iter().map(|channel| channel.name.to_string()).collect();
-    let place = |name: &str| names.iter().position(|own| own == name);
-    match (place("R"), place("G"), place("B"), place("Z"), names.len()) {
+/// Positions of the channels R, G and B, or of the one that is depth.
+fn channels(image: &FlatExr) -> Result<Vec<usize>, String> {
+    let [r, g, b, z] = ["R", "G", "B", "Z"].map(|name| image.position(name));
+    match (r, g, b, z, image.channels.len()) {
         (Some(r), Some(g), Some(b), _, _) => Ok(vec![r, g, b]),
         (_, _, _, Some(z), _) => Ok(vec![z]),
         (_, _, _, _, 1) => Ok(vec![0]),
         _ => Err(format!(
             "its channels are {}; colours need R, G and B, depth needs Z",
-            names.join(", ")
+            image.channels.join(", ")
         )),
     }
 }

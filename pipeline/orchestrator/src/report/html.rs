@@ -1,14 +1,13 @@
-//! HTML of the report: escaping, tables, sections. No scripts.
+//! HTML of the report: tables, sections. No scripts.
 
 use std::fmt::Write as _;
 
-use base64::Engine as _;
+use rogs_pages::{Plot, escape, inlined, svg};
 use rogs_schemas::records::clip::{CameraMount, Clip};
 use rogs_schemas::records::field::WeightsInfo;
 use rogs_schemas::records::scores::ScoreSheet;
 
 use super::pictures::{Comparison, Figure};
-use super::plots::{Plot, svg};
 use super::{ClipReport, FailureReport, ReportTable, TimingReport};
 
 const STYLE: &str = "
@@ -25,22 +24,6 @@ figure{margin:.4em 0} figcaption{font-size:.85em;opacity:.75} img{max-width:100%
 .grid td,.grid th{border:0;padding:2px;text-align:center;font-weight:500;font-size:.85em} .grid th:first-child{text-align:right;max-width:11em}
 .note{opacity:.75} details{border-top:1px solid #8885;padding:.6em 0} summary{cursor:pointer;font-size:1.15em;font-weight:600}
 ";
-
-/// Escapes text for HTML content and attribute values.
-pub(super) fn escape(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for character in text.chars() {
-        match character {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            other => out.push(other),
-        }
-    }
-    out
-}
 
 /// A cell for an optional number.
 fn number(value: Option<f64>, digits: usize) -> String {
@@ -285,12 +268,11 @@ impl Section {
         }
         let _ = writeln!(self.html, "<h3>{}</h3>", escape(title));
         for figure in figures {
-            let data = base64::engine::general_purpose::STANDARD.encode(&figure.bytes);
             let caption = escape(&figure.caption);
             let _ = writeln!(
                 self.html,
-                "<figure><figcaption>{caption}</figcaption><img alt=\"{caption}\" src=\"data:{};base64,{data}\"></figure>",
-                figure.media_type
+                "<figure><figcaption>{caption}</figcaption><img alt=\"{caption}\" src=\"{}\"></figure>",
+                inlined(figure.media_type, &figure.bytes)
             );
         }
     }
@@ -311,12 +293,11 @@ impl Section {
             for cell in cells {
                 match cell {
                     Some(figure) => {
-                        let data = base64::engine::general_purpose::STANDARD.encode(&figure.bytes);
                         let _ = write!(
                             self.html,
-                            "<td><img alt=\"{}\" src=\"data:{};base64,{data}\"></td>",
+                            "<td><img alt=\"{}\" src=\"{}\"></td>",
                             escape(&figure.caption),
-                            figure.media_type
+                            inlined(figure.media_type, &figure.bytes)
                         );
                     }
                     None => self.html.push_str("<td>–</td>"),

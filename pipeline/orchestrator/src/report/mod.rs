@@ -6,11 +6,11 @@
 
 mod html;
 mod pictures;
-mod plots;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use rogs_pages::Plot;
 use rogs_schemas::read_record;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::WeightsInfo;
@@ -18,7 +18,6 @@ use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::Scores;
 
 pub use pictures::overlay;
-pub use plots::{Plot, PlotPoint, Series};
 
 /// Everything a report shows.
 #[derive(Debug, Clone, Default)]

@@ -1,8 +1,8 @@
-//! Plots of the report as inline SVG: axes, points, lines, a legend. Colours of text and axes follow the page.
+//! Plots as inline SVG: axes, points, lines, a legend. Colours of text and axes follow the page.
 
 use std::fmt::Write as _;
 
-use super::html::escape;
+use super::escape;
 
 /// A plot.
 #[derive(Debug, Clone, Default)]
@@ -17,6 +17,8 @@ pub struct Plot {
     pub series: Vec<Series>,
     /// Join the points of a series by lines.
     pub lines: bool,
+    /// Leave the points themselves out: for series of many.
+    pub bare: bool,
     /// Draw x = y.
     pub diagonal: bool,
 }
@@ -105,7 +107,8 @@ impl Axis {
 }
 
 /// The plot as SVG; empty when there is no point.
-pub(super) fn svg(plot: &Plot) -> String {
+#[must_use]
+pub fn svg(plot: &Plot) -> String {
     let all = || plot.series.iter().flat_map(|series| &series.points);
     let finite = |point: &&PlotPoint| point.x.is_finite() && point.y.is_finite();
     let (mut x, mut y) = (
@@ -176,7 +179,7 @@ pub(super) fn svg(plot: &Plot) -> String {
                 path.join("L")
             );
         }
-        for point in points() {
+        for point in points().filter(|_| !plot.bare) {
             let (x, y) = place(point);
             let _ = writeln!(
                 out,
@@ -243,6 +246,8 @@ mod tests {
         assert_eq!(text.matches("<title>").count(), 2);
         assert!(text.contains("x &amp; y") && text.contains("a&lt;b: 1.0000, 2.0000"));
         assert!(text.starts_with("<svg") && text.ends_with("</svg>"));
+        let bare = svg(&Plot { bare: true, ..plot });
+        assert!(!bare.contains("<title>") && bare.matches("stroke-width=\"1.6\"").count() == 1);
         assert_eq!(svg(&Plot::default()), "");
     }
 }
