@@ -131,6 +131,9 @@ pub struct LossWeights {
     pub metric_final: f64,
     /// The same at right eyes.
     pub metric_right: f64,
+    /// The same at source cameras over valid robot pixels, where the mesh anchors: the Gaussians are then at the right depth, and
+    /// what is left to learn is what stands before them and what shines through. Not in the paper.
+    pub metric_robot: f64,
     /// Missing opacity at source cameras.
     pub coverage: f64,
     /// The same at right eyes.
@@ -207,6 +210,7 @@ impl Default for LossWeights {
             fk_final: 0.157_137,
             metric_final: 0.001_829_39,
             metric_right: 0.004_844_63,
+            metric_robot: 0.0,
             coverage: 0.058_967_8,
             coverage_right: 0.064_852_4,
         }
@@ -247,10 +251,10 @@ impl LossWeights {
     }
 
     fn metric(&self) -> bool {
-        self.metric_final > 0.0 || self.metric_right > 0.0
+        self.metric_final > 0.0 || self.metric_right > 0.0 || self.metric_robot > 0.0
     }
 
-    fn all(&self) -> [f64; 15] {
+    fn all(&self) -> [f64; 16] {
         [
             self.movies_mse,
             self.movies_lpips,
@@ -265,6 +269,7 @@ impl LossWeights {
             self.fk_final,
             self.metric_final,
             self.metric_right,
+            self.metric_robot,
             self.coverage,
             self.coverage_right,
         ]

@@ -100,6 +100,8 @@ pub struct Target {
     pub depth_iu: Vec<f32>,
     /// 1 where the depth counts. `[A]`
     pub valid: Vec<f32>,
+    /// 1 at valid robot support. `[A]`
+    pub support: Vec<f32>,
 }
 
 /// What a [`Query`] says of one view.
@@ -232,6 +234,7 @@ impl<'a> Maker<'a> {
                 rgb: view.rgb.iter().map(|&value| f32::from(value) / 255.0).collect(),
                 depth_iu,
                 valid,
+                support: support(view, self.data.size).into_iter().map(f32::from).collect(),
             }
         });
         Query {

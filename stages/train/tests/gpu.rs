@@ -64,6 +64,7 @@ fn stage1(folder: &Path) -> Stage1Training {
         data: data(),
         losses: LossWeights {
             stereo_robot: 1.0,
+            metric_robot: 0.01,
             sweep: 1.0,
             sweep_depth: 1.0,
             ..LossWeights::default()

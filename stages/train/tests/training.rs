@@ -205,6 +205,7 @@ fn gradients_are_those_of_the_reported_loss() {
             LossWeights {
                 metric_final: 0.001,
                 metric_right: 0.001,
+                metric_robot: 0.001,
                 ..NONE
             },
         ),
@@ -285,6 +286,41 @@ fn gradients_are_those_of_the_reported_loss() {
             "{what}: {analytic} by the backward pass, {numeric} by differences"
         );
     }
+}
+
+/// The rendered robot is judged at robot pixels of source cameras, of clips that are anchored to the mesh.
+#[test]
+fn the_rendered_robot_counts_where_it_is_anchored() {
+    let settings = tiny(1);
+    let trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
+    let weights = LossWeights {
+        metric_final: 1.0,
+        metric_robot: 1.0,
+        ..NONE
+    };
+    let terms = |clip: &Sample| {
+        let lifted = lift(&trainer.network, clip, true, Heads::All).unwrap();
+        let losses = Losses {
+            weights: &weights,
+            perceptual: None,
+        };
+        objective(clip, &lifted, losses, &mut Pcg64::from_seed(1))
+            .unwrap()
+            .terms
+    };
+    let clip = sample(&settings, 4711);
+    let whole = terms(&clip);
+    // References of nothing but the robot make of the term of all pixels that of the robot.
+    let mut robot_alone = clip.clone();
+    for target in robot_alone.queries.iter_mut().flat_map(|query| &mut query.targets) {
+        target.valid = target.valid.iter().zip(&target.support).map(|(a, b)| a * b).collect();
+    }
+    let alone = terms(&robot_alone);
+    assert!(whole["metric_robot"] > 0.0);
+    assert_eq!(whole["metric_robot"], alone["metric_robot"]);
+    assert_eq!(alone["metric_final"], alone["metric_robot"]);
+    assert_ne!(whole["metric_final"], whole["metric_robot"]);
+    assert!(!terms(&clip.without_anchors()).contains_key("metric_robot"));
 }
 
 /// With losses of the sweep alone nothing else runs or changes, and they are what they are in the whole network.

@@ -64,17 +64,18 @@ fn views(
     }
     // Source cameras come first, their right eyes after them.
     let sources = query.targets.iter().filter(|target| !target.right).count();
-    for (first, targets, metric, coverage) in [
+    let robot = if sample.anchored { weights.metric_robot } else { 0.0 };
+    for (first, targets, metrics, coverage) in [
         (
             0,
             &query.targets[..sources],
-            ("metric_final", weights.metric_final),
+            [("metric_final", weights.metric_final), ("metric_robot", robot)],
             ("coverage", weights.coverage),
         ),
         (
             sources,
             &query.targets[sources..],
-            ("metric_right", weights.metric_right),
+            [("metric_right", weights.metric_right), ("metric_robot", 0.0)],
             ("coverage_right", weights.coverage_right),
         ),
     ] {
@@ -90,12 +91,19 @@ fn views(
             from_host(all, [targets.len(), height * width], &device)
         };
         let (alpha, valid) = (of_side(&rendered.alpha), map(|target| &target.valid));
-        if metric.1 > 0.0 {
+        let [everywhere, robot] = metrics;
+        if everywhere.1 > 0.0 || robot.1 > 0.0 {
             // Where there is a reference and something was hit.
             let hit = valid.clone() * alpha.clone().greater_elem(0.0).float();
             let millimetres = f64::from(m_from_iu(1.0)) * 1000.0;
             let error = (of_side(&rendered.depth) - map(|target| &target.depth_iu)).abs() * millimetres;
-            sum.add(metric.0, metric.1, share, mean_of_views(error, hit))?;
+            if robot.1 > 0.0 {
+                let supported = hit.clone() * map(|target| &target.support);
+                sum.add(robot.0, robot.1, share, mean_of_views(error.clone(), supported))?;
+            }
+            if everywhere.1 > 0.0 {
+                sum.add(everywhere.0, everywhere.1, share, mean_of_views(error, hit))?;
+            }
         }
         if coverage.1 > 0.0 {
             sum.add(coverage.0, coverage.1, share, mean_of_views(alpha * -1.0 + 1.0, valid))?;
