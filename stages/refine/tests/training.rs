@@ -104,6 +104,7 @@ fn the_gradient_of_every_term_agrees_with_finite_differences() {
     let example = complete(33);
     let none = ObjectiveWeights {
         rendering: 0.0,
+        rendering_squared: 0.0,
         right_views: 1.0,
         perceptual: 0.0,
         depth: 0.0,
@@ -115,10 +116,18 @@ fn the_gradient_of_every_term_agrees_with_finite_differences() {
         discount: 1.0,
     };
     type Value = fn(&TermValues) -> f64;
-    let cases: [(&str, ObjectiveWeights, Value); 7] = [
+    let cases: [(&str, ObjectiveWeights, Value); 8] = [
         ("rendering", ObjectiveWeights { rendering: 1.0, ..none }, |terms| {
             terms.rendering
         }),
+        (
+            "rendering_squared",
+            ObjectiveWeights {
+                rendering_squared: 1.0,
+                ..none
+            },
+            |terms| terms.rendering_squared,
+        ),
         ("depth", ObjectiveWeights { depth: 1.0, ..none }, |terms| terms.depth),
         ("robot", ObjectiveWeights { robot: 1.0, ..none }, |terms| terms.robot),
         ("motion", ObjectiveWeights { motion: 1.0, ..none }, |terms| terms.motion),

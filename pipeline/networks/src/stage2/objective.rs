@@ -9,7 +9,9 @@ use serde::{Deserialize, Serialize};
 pub struct ObjectiveWeights {
     /// Absolute colour difference, source and paired-right views.
     pub rendering: f64,
-    /// How often a paired-right view counts in `rendering` where a source view counts once.
+    /// Squared colour difference of the same views, as Stage 1 has it: what PSNR is made of. Not in the paper's Stage 2.
+    pub rendering_squared: f64,
+    /// How often a paired-right view counts in these two where a source view counts once.
     pub right_views: f64,
     /// Perceptual distance of the same views.
     pub perceptual: f64,
@@ -34,6 +36,7 @@ impl Default for ObjectiveWeights {
     fn default() -> Self {
         Self {
             rendering: 1.0,
+            rendering_squared: 0.0,
             right_views: 1.0,
             perceptual: 0.5,
             depth: 1.04,
@@ -116,6 +119,8 @@ pub struct UpdateOutcome {
 pub struct ObjectiveTerms {
     /// Mean absolute colour difference, right views counted as often as the weights say.
     pub rendering: Tensor<1>,
+    /// Mean squared colour difference, counted in the same way.
+    pub rendering_squared: Tensor<1>,
     /// Mean perceptual distance.
     pub perceptual: Tensor<1>,
     /// Mean `|D - D*| / D*` over valid pixels.
@@ -151,7 +156,8 @@ pub fn update_objective(
     let device = views[0].rgb.device();
     let zero = || Tensor::<1>::zeros([1], &device);
 
-    let rendering = colour_difference(views, weights.right_views);
+    let rendering = mean_of_colours(views, weights.right_views, Tensor::abs);
+    let rendering_squared = mean_of_colours(views, weights.right_views, |difference| difference.powi_scalar(2));
     let perceptual = match perceptual {
         Some(distance) => Tensor::cat(views.iter().map(distance).collect(), 0).mean(),
         None => zero(),
@@ -180,6 +186,7 @@ pub fn update_objective(
     let preservation = against(|motion| motion.stage1.clone());
 
     let total = rendering.clone() * weights.rendering
+        + rendering_squared.clone() * weights.rendering_squared
         + perceptual.clone() * weights.perceptual
         + depth.clone() * weights.depth
         + robot.clone() * weights.robot
@@ -189,6 +196,7 @@ pub fn update_objective(
         + coverage_right.clone() * weights.coverage_right;
     ObjectiveTerms {
         rendering,
+        rendering_squared,
         perceptual,
         depth,
         robot,
@@ -217,15 +225,15 @@ pub fn objective(
     Tensor::cat(updates.iter().enumerate().map(weighted).collect(), 0).sum()
 }
 
-/// Mean absolute colour difference of views, of which a right one counts `right_views` times. `[1]`
-fn colour_difference(views: &[RenderedView], right_views: f64) -> Tensor<1> {
+/// Mean of what `measure` makes of colour differences, over views of which a right one counts `right_views` times. `[1]`
+fn mean_of_colours(views: &[RenderedView], right_views: f64, measure: impl Fn(Tensor<2>) -> Tensor<2>) -> Tensor<1> {
     let share = |view: &RenderedView| match view.side {
         ViewSide::Source => 1.0,
         ViewSide::PairedRight => right_views,
     };
     let numbers = |view: &RenderedView| 3.0 * (view.size[0] * view.size[1]) as f64;
     let count: f64 = views.iter().map(|view| share(view) * numbers(view)).sum();
-    let sum = |view: &RenderedView| (view.rgb.clone() - view.observed_rgb.clone()).abs().sum() * share(view);
+    let sum = |view: &RenderedView| measure(view.rgb.clone() - view.observed_rgb.clone()).sum() * share(view);
     Tensor::cat(views.iter().map(sum).collect(), 0).sum() / count.max(1.0)
 }
 
@@ -310,6 +318,19 @@ mod tests {
     }
 
     #[test]
+    fn the_squared_difference_counts_by_its_weight() {
+        let outcome = outcome(&Device::flex());
+        let total = |rendering_squared: f64| {
+            let weights = ObjectiveWeights {
+                rendering_squared,
+                ..ObjectiveWeights::default()
+            };
+            number(update_objective(&outcome, &weights, None).total)
+        };
+        assert!((total(2.0) - total(0.0) - 2.0 * 0.8125 / 9.0).abs() < 1e-6);
+    }
+
+    #[test]
     fn every_term_has_its_hand_computed_value() {
         let device = Device::flex();
         let perceptual = |view: &RenderedView| view.rgb.clone().max().reshape([1]);
@@ -320,6 +341,7 @@ mod tests {
         };
         // |differences|: 0.25, 0, 0.5, 0, 0.5, 0 and 0.5, 0, 0: nine numbers.
         close("rendering", &terms.rendering, 1.75 / 9.0);
+        close("rendering_squared", &terms.rendering_squared, 0.8125 / 9.0);
         // The largest render values of the views are 1 and 0.
         close("perceptual", &terms.perceptual, 0.5);
         // 0.5 / 2 and 1 / 4; the second source pixel is not valid.
@@ -342,11 +364,14 @@ mod tests {
                 right_views,
                 ..ObjectiveWeights::default()
             };
-            number(update_objective(&outcome(&device), &weights, None).rendering)
+            let terms = update_objective(&outcome(&device), &weights, None);
+            [number(terms.rendering), number(terms.rendering_squared)]
         };
-        // 1.25 in six numbers of the source view, 0.5 in three of the right one.
-        assert!((rendering(0.0) - 1.25 / 6.0).abs() < 1e-6);
-        assert!((rendering(3.0) - (1.25 + 3.0 * 0.5) / (6.0 + 3.0 * 3.0)).abs() < 1e-6);
+        // Sums over six numbers of the source view and three of the right one, absolute and squared.
+        for (index, source, right) in [(0, 1.25, 0.5), (1, 0.5625, 0.25)] {
+            assert!((rendering(0.0)[index] - source / 6.0).abs() < 1e-6);
+            assert!((rendering(3.0)[index] - (source + 3.0 * right) / (6.0 + 3.0 * 3.0)).abs() < 1e-6);
+        }
     }
 
     #[test]

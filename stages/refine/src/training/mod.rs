@@ -50,6 +50,8 @@ pub struct TrainingOptions<'a> {
 pub struct TermValues {
     /// Mean absolute colour difference.
     pub rendering: f64,
+    /// Mean squared colour difference.
+    pub rendering_squared: f64,
     /// Mean perceptual distance.
     pub perceptual: f64,
     /// Mean relative depth difference.
@@ -77,6 +79,7 @@ impl TermValues {
         };
         Ok(Self {
             rendering: number(&terms.rendering)?,
+            rendering_squared: number(&terms.rendering_squared)?,
             perceptual: number(&terms.perceptual)?,
             depth: number(&terms.depth)?,
             robot: number(&terms.robot)?,

@@ -39,6 +39,7 @@ fn terms_of(updates: &[TermValues]) -> BTreeMap<String, f64> {
         for (key, value) in [
             ("rendering after the first update", first.rendering),
             ("rendering", last.rendering),
+            ("rendering_squared", last.rendering_squared),
             ("perceptual", last.perceptual),
             ("depth", last.depth),
             ("robot", last.robot),

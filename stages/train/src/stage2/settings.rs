@@ -137,6 +137,7 @@ impl Stage2Training {
         let losses = &self.losses;
         let weights = [
             losses.rendering,
+            losses.rendering_squared,
             losses.right_views,
             losses.perceptual,
             losses.depth,
