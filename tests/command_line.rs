@@ -205,6 +205,22 @@ fn every_command_prints_one_json_value_when_asked() {
     let provenance = merged["metadata"]["rogs.provenance"].as_str().unwrap();
     assert!(provenance.ends_with("low-rank updates merged"), "{provenance}");
     assert_eq!(ask(0, &["weights", "verify", "merged.safetensors"])["good"], true);
+    let average = [
+        "weights",
+        "average",
+        "merged.safetensors",
+        weights,
+        "--shares",
+        "3,1",
+        "--out",
+        "average.safetensors",
+    ];
+    let shares = json!([["merged.safetensors", 3.0], [weights, 1.0]]);
+    assert_eq!(
+        ask(0, &average),
+        json!({"out": "average.safetensors", "inputs": shares})
+    );
+    assert_eq!(ask(0, &["weights", "verify", "average.safetensors"])["good"], true);
     assert!(ask(0, &["doctor"]).as_array().unwrap().len() >= 5);
     assert!(ask(0, &["schema"])["properties"].is_object());
     assert!(

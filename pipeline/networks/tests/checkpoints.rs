@@ -7,8 +7,8 @@ use std::path::Path;
 
 use burn::tensor::{Device, Tensor};
 use rogs_networks::checkpoint::{
-    ElementType, ImportRequest, Origin, TensorFile, TensorSource, generate_stage1, import_stage1, merge_lora, open_any,
-    open_stage1, stage1_metadata, verify_stage1, write,
+    ElementType, ImportRequest, Origin, PROCEDURAL, TRAINING_DOMAIN, TensorFile, TensorSource, average,
+    generate_stage1, import_stage1, merge_lora, open_any, open_stage1, stage1_metadata, verify_stage1, write,
 };
 use rogs_networks::parameters::{ParameterSource, Parameters};
 use rogs_networks::stage1::{Attention, Camera, FramePose, SourceFrames, Stage1, Stage1Config, layout};
@@ -250,14 +250,14 @@ fn merging_low_rank_updates_keeps_the_outputs() {
             .iter()
             .map(|spec| source(&spec.name, &spec.shape, noise(spec))),
     );
-    write(
-        &path,
-        &stage1_metadata(&config, true, "a test"),
-        ElementType::F32,
-        tensors,
-    )
-    .unwrap();
+    let mut metadata = stage1_metadata(&config, true, "a test");
+    metadata.insert(TRAINING_DOMAIN.to_owned(), PROCEDURAL.to_owned());
+    write(&path, &metadata, ElementType::F32, tensors).unwrap();
     merge_lora(&path, &merged, ElementType::F32).unwrap();
+    let mut told = TensorFile::open(&merged).unwrap().metadata().clone();
+    assert_eq!(told["rogs.provenance"], "a test; low-rank updates merged");
+    told.insert("rogs.provenance".to_owned(), "a test".to_owned());
+    assert_eq!(told, metadata, "everything else stays as it was");
     let open = |path: &Path| open_stage1(path, &Device::flex()).unwrap().network;
     let plain = rogs_networks::stage1::seeded::network(&config, 1, &Device::flex()).unwrap();
     close("merged", &taps(&open(&merged)), &taps(&open(&path)), 1e-4);
@@ -265,6 +265,69 @@ fn merging_low_rank_updates_keeps_the_outputs() {
         support::worst(&taps(&plain), &taps(&open(&path))) > 1e-3,
         "the updates do something"
     );
+}
+
+#[test]
+fn averages_are_weighted_means_of_one_network() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, shape: &[usize], values: Vec<f32>, metadata: &[(&str, &str)]| {
+        let path = folder.path().join(name);
+        let metadata = metadata.iter().map(|&(key, value)| (key.to_owned(), value.to_owned()));
+        let tensors = vec![source("a.weight", shape, values), source("b", &[1], vec![8.0])];
+        write(&path, &metadata.collect(), ElementType::F32, tensors).unwrap();
+        path
+    };
+    let kind = ("rogs.kind", "a test");
+    let first = file(
+        "first",
+        &[3],
+        vec![1.0, -2.0, 0.5],
+        &[kind, ("rogs.provenance", "here")],
+    );
+    let second = file(
+        "second",
+        &[3],
+        vec![5.0, 2.0, 0.5],
+        &[kind, ("rogs.provenance", "there")],
+    );
+    let out = folder.path().join("mean");
+    // Shares of 3 and 1 are three quarters and one quarter.
+    let inputs = [(first.clone(), 3.0), (second, 1.0)];
+    average(&inputs, &out, ElementType::F32, None).unwrap();
+    let mean = TensorFile::open(&out).unwrap();
+    assert_eq!(mean.values("a.weight").unwrap(), [2.0, -1.0, 0.5]);
+    assert_eq!(mean.values("b").unwrap(), [8.0]);
+    assert_eq!(mean.metadata()["rogs.kind"], "a test");
+    assert_eq!(
+        mean.metadata()["rogs.provenance"],
+        "average: 0.750 of (here) + 0.250 of (there)"
+    );
+    average(&inputs, &out, ElementType::F32, Some("a mean")).unwrap();
+    assert_eq!(TensorFile::open(&out).unwrap().metadata()["rogs.provenance"], "a mean");
+    std::fs::remove_file(&out).unwrap();
+
+    let other_shape = file("shape", &[1, 3], vec![0.0; 3], &[kind]);
+    let other_kind = file("kind", &[3], vec![0.0; 3], &[("rogs.kind", "another")]);
+    let other_tensors = folder.path().join("tensors");
+    let tensors = vec![source("a.weight", &[3], vec![0.0; 3]), source("c", &[1], vec![0.0])];
+    let metadata = BTreeMap::from([(kind.0.to_owned(), kind.1.to_owned())]);
+    write(&other_tensors, &metadata, ElementType::F32, tensors).unwrap();
+    for (inputs, reason) in [
+        (vec![], "nothing to average"),
+        (vec![(first.clone(), 0.0)], "positive"),
+        (vec![(first.clone(), f64::NAN)], "positive"),
+        (
+            vec![(first.clone(), 1.0), (other_shape, 1.0)],
+            "has shape [1, 3], not [3]",
+        ),
+        (vec![(first.clone(), 1.0), (other_kind, 1.0)], "`rogs.kind`"),
+        (vec![(first.clone(), 1.0), (other_tensors, 1.0)], "lacks the tensor `b`"),
+        (vec![(first, 1.0), (folder.path().join("none"), 1.0)], "none"),
+    ] {
+        let error = average(&inputs, &out, ElementType::F32, None).unwrap_err().to_string();
+        assert!(error.contains(reason), "{error}");
+        assert!(!out.exists());
+    }
 }
 
 #[test]

@@ -7,7 +7,7 @@ use burn::store::pytorch_reader::{DType, PytorchReader, Tensor};
 
 use super::header::ElementType;
 use super::write::{TensorSource, write};
-use super::{TensorFile, Verification, stage1_metadata, verify_stage1};
+use super::{PROVENANCE, TensorFile, Verification, stage1_metadata, verify_stage1};
 use crate::parameters::ParameterSource;
 use crate::stage1::{Stage1Config, layout, seeded};
 use crate::{Error, Result};
@@ -328,7 +328,6 @@ pub fn generate_stage1(
 pub fn merge_lora(input: &Path, output: &Path, element: ElementType) -> Result<()> {
     let file = TensorFile::open(input)?;
     let loaded = super::open_stage1(input, &burn::tensor::Device::flex())?;
-    let config = &loaded.network.config;
     let bad = |reason: &str| Error::BadFile {
         path: input.to_owned(),
         reason: reason.to_owned(),
@@ -346,11 +345,10 @@ pub fn merge_lora(input: &Path, output: &Path, element: ElementType) -> Result<(
             values: Box::new(values),
         }
     });
-    let metadata = stage1_metadata(
-        config,
-        loaded.trained,
-        &format!("{}; low-rank updates merged", loaded.provenance),
-    );
+    // Whatever else the file says of itself stays true, as that it has seen procedural clips only.
+    let mut metadata = file.metadata().clone();
+    let provenance = format!("{}; low-rank updates merged", loaded.provenance);
+    metadata.insert(PROVENANCE.to_owned(), provenance);
     write(output, &metadata, element, tensors.collect())
 }
 

@@ -4,11 +4,13 @@
 //! whether it was trained (`rogs.trained`) and where it comes from (`rogs.provenance`). It is mapped into memory, so that
 //! opening one costs nothing and a network can be run without holding all of it.
 
+mod average;
 mod file;
 mod header;
 mod import;
 mod write;
 
+pub use average::average;
 pub use file::TensorFile;
 pub use header::{ElementType, TensorEntry};
 pub use import::{ImportReport, ImportRequest, Origin, Renamed, generate_stage1, import_stage1, merge_lora, open_any};

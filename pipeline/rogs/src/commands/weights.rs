@@ -9,13 +9,15 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use rogs_networks::checkpoint::{ElementType, ImportRequest, TensorFile, generate_stage1, import_stage1, merge_lora};
+use rogs_networks::checkpoint::{
+    ElementType, ImportRequest, TensorFile, average, generate_stage1, import_stage1, merge_lora,
+};
 use rogs_networks::stage1::Stage1Config;
 use rogs_networks::stage2::{ReleasedImport, ReleasedModel, import_released};
 
 use crate::output;
 
-/// Fetches, imports, verifies, makes, lists and merges weights.
+/// Fetches, imports, verifies, makes, lists, merges and averages weights.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -76,6 +78,27 @@ enum What {
         /// How numbers are stored.
         #[arg(long, value_enum, default_value_t = Numbers::F32)]
         numbers: Numbers,
+        /// Print one JSON value: what was written.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Averages checkpoints of one network, as of parts of a training that went different ways from the same start.
+    Average {
+        /// The checkpoints.
+        #[arg(required = true, num_args = 1..)]
+        inputs: Vec<PathBuf>,
+        /// Weight of each, in their order; by default equal ones. They are divided by their sum.
+        #[arg(long, value_delimiter = ',', value_name = "NUMBERS")]
+        shares: Option<Vec<f64>>,
+        /// Where the average goes.
+        #[arg(long, value_name = "FILE")]
+        out: PathBuf,
+        /// How numbers are stored.
+        #[arg(long, value_enum, default_value_t = Numbers::F32)]
+        numbers: Numbers,
+        /// Where the weights come from, for reports; by default what was averaged.
+        #[arg(long)]
+        provenance: Option<String>,
         /// Print one JSON value: what was written.
         #[arg(long)]
         json: bool,
@@ -212,6 +235,33 @@ pub(crate) fn run(args: Args) -> anyhow::Result<ExitCode> {
                 output::json(&serde_json::json!({ "out": out }))?;
             } else {
                 output::text(&format!("merged into `{}`", out.display()))?;
+            }
+        }
+        What::Average {
+            inputs,
+            shares,
+            out,
+            numbers,
+            provenance,
+            json,
+        } => {
+            let shares = shares.unwrap_or_else(|| vec![1.0; inputs.len()]);
+            anyhow::ensure!(
+                shares.len() == inputs.len(),
+                "`--shares` has {} numbers for {} files; give one for each",
+                shares.len(),
+                inputs.len()
+            );
+            let inputs: Vec<(PathBuf, f64)> = inputs.into_iter().zip(shares).collect();
+            average(&inputs, &out, numbers.into(), provenance.as_deref())?;
+            if json {
+                output::json(&serde_json::json!({ "out": out, "inputs": inputs }))?;
+            } else {
+                output::text(&format!(
+                    "average of {} files written to `{}`",
+                    inputs.len(),
+                    out.display()
+                ))?;
             }
         }
         What::List { file, json } => list(&file, json)?,
