@@ -74,7 +74,7 @@ fn mean(files: &[(TensorFile, f64)], name: &str) -> Result<Vec<f32>> {
     Ok(sum.into_iter().map(|value| value as f32).collect())
 }
 
-/// Refuses a file whose tensors or whose metadata, other than the provenance, differ from those of the first.
+/// Refuses a file whose tensors (names, shapes) or whose metadata, other than the provenance, differ from those of the first.
 fn same_network(first: &TensorFile, other: &TensorFile) -> Result<()> {
     let bad = |reason: String| Error::BadFile {
         path: other.path().to_owned(),
