@@ -1,4 +1,4 @@
-//! No damage goes unnoticed and none is a panic (`chunk-format.md` section 4).
+//! No damage goes unnoticed and none is a panic (`docs/spec/r4c.md` section 4).
 
 mod common;
 mod forge;

@@ -65,7 +65,7 @@ impl<A: Frame, B: Frame> Pose<A, B> {
     }
 
     /// From `[x, y, z]` metres and the Euler angles `[a, b, c]` of the DROID logs: rotations about the FIXED axes x, y,
-    /// z in this order, `R = Rz(c) Ry(b) Rx(a)` (`datasets.md` section 0). URDF `rpy` is the same convention.
+    /// z in this order, `R = Rz(c) Ry(b) Rx(a)` (`docs/spec/data.md` section 0). URDF `rpy` is the same convention.
     #[must_use]
     pub fn from_xyz_euler(xyz: [f64; 3], euler_xyz: [f64; 3]) -> Self {
         Self::new(rotation_from_euler_xyz(euler_xyz), DVec3::from_array(xyz))

@@ -1,4 +1,4 @@
-//! LPIPS-VGG image distance (`scoring.md` section 4): package `lpips` 0.1.4, network `vgg`, version 0.1.
+//! LPIPS-VGG image distance (`docs/spec/scoring.md` section 4): package `lpips` 0.1.4, network `vgg`, version 0.1.
 //!
 //! An image in [0, 1] becomes `(2 v - 1 - shift) / scale`, passes the thirteen convolutions of VGG16 and is read after
 //! relu1_2, 2_2, 3_3, 4_3 and 5_3. Each reading is divided by its length over channels; the distance is the weighted

@@ -1,4 +1,4 @@
-//! AdamW with a rate and a decay per parameter (`stage1-network.md` section 15, `stage2-network.md` section B.8).
+//! AdamW with a rate and a decay per parameter (`docs/spec/stage1.md` section 15, `docs/spec/stage2.md` section B.8).
 
 use std::collections::BTreeMap;
 

@@ -113,7 +113,7 @@ fn the_full_trunk_agrees_with_the_package() {
     check(&network, &folder, &golden["models"]["hash_full"], 2e-6);
 }
 
-/// VGG16 shapes filled by the formula of `datasets.md` section 10, with the real heads.
+/// VGG16 shapes filled by the formula of `docs/spec/data.md` section 10, with the real heads.
 fn full_trunk(folder: &Path, golden: &Value) -> LpipsWeights {
     let widths = [64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512];
     let mut tensors = BTreeMap::new();

@@ -1,4 +1,4 @@
-//! The fixed plan of query times of a clip (paper, evaluation appendix; `scoring.md` section 3).
+//! The fixed plan of query times of a clip (paper, evaluation appendix; `docs/spec/scoring.md` section 3).
 
 use sha2::{Digest, Sha256};
 

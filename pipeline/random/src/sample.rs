@@ -1,4 +1,4 @@
-//! Bounded integers, permutations and samples, with numpy's two ways of bounding (`scoring.md` section 2).
+//! Bounded integers, permutations and samples, with numpy's two ways of bounding (`docs/spec/scoring.md` section 2).
 
 use crate::pcg64::Pcg64;
 

@@ -1,4 +1,4 @@
-//! numpy's `SeedSequence`: integers of any size hashed into generator state (`scoring.md` section 2).
+//! numpy's `SeedSequence`: integers of any size hashed into generator state (`docs/spec/scoring.md` section 2).
 
 const INIT_A: u32 = 0x43b0_d7e5;
 const MULT_A: u32 = 0x931e_8875;

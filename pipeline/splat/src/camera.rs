@@ -126,7 +126,7 @@ pub enum Mode {
     Antialiased,
 }
 
-/// Settings of a render (`gaussian-rasterizer.md` section 1).
+/// Settings of a render (`docs/spec/rasteriser.md` section 1).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RasterConfig {
     /// Classic or antialiased.

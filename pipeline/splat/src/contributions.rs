@@ -1,4 +1,4 @@
-//! Contribution sums of a render: mass `W^T 1` and pooled pixel features `W^T E` (`gaussian-rasterizer.md` section 10).
+//! Contribution sums of a render: mass `W^T 1` and pooled pixel features `W^T E` (`docs/spec/rasteriser.md` section 10).
 //!
 //! `W[p, i]` is the compositing weight of Gaussian `i` at pixel `p`. It is recorded sparsely while compositing, for the
 //! eligible Gaussians only, and laid out by Gaussian, so that pooling reads each Gaussian's few pixels, sums in

@@ -1,6 +1,6 @@
 //! From a stored field to Gaussians at a stored time.
 //!
-//! Activations are those of `stage1-network.md` section 7, corrections those of `stage2-network.md` section B.2. Files
+//! Activations are those of `docs/spec/stage1.md` section 7, corrections those of `docs/spec/stage2.md` section B.2. Files
 //! hold metres; the Gaussians come out in internal units, 3.5 per metre. The displacement of a Gaussian between two
 //! times is read from the stored displacement streams alone, so no correction can change it.
 
@@ -223,7 +223,7 @@ impl<'a> TimedField<'a> {
     }
 
     /// The Gaussians at `time` with their displacement `from -> to` in metres as three extra channels, for rendered
-    /// displacement images (`scoring.md` section 6).
+    /// displacement images (`docs/spec/scoring.md` section 6).
     ///
     /// # Errors
     /// When a time is not stored.

@@ -6,7 +6,7 @@
 //! [`render_views_with_contributions`] records the compositing weights of chosen Gaussians sparsely and pools pixel
 //! features with them (Stage 2). [`TimedField`] turns a stored field, with or without the corrections of Stage 2, into
 //! Gaussians at a stored time; [`ply`] reads and writes 3DGS PLY files. The rules are those of
-//! `gaussian-rasterizer.md`.
+//! `docs/spec/rasteriser.md`.
 //!
 //! Results are equal bit for bit for every number of threads, every tile size and every instruction set. Gaussians with
 //! values that are not numbers are dropped and counted, never drawn.

@@ -1,4 +1,4 @@
-//! 3DGS PLY files (`chunk-format.md` section 6).
+//! 3DGS PLY files (`docs/spec/r4c.md` section 6).
 //!
 //! Binary little-endian, one `element vertex`, `property float` throughout: `x y z`, `f_dc_0..2`, `f_rest_*` (all of red,
 //! then green, then blue), `opacity` as a logit, `scale_0..2` as natural logarithms of the standard deviations,

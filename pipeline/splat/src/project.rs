@@ -1,4 +1,4 @@
-//! Projection of 3D Gaussians to the image and their assignment to tiles (`gaussian-rasterizer.md` sections 3 to 6).
+//! Projection of 3D Gaussians to the image and their assignment to tiles (`docs/spec/rasteriser.md` sections 3 to 6).
 //!
 //! Gaussians are taken in chunks of consecutive indices. A chunk projects sixteen at a time in plain lane loops that the
 //! compiler vectorises for the instruction set at hand (no contraction, so every level gives the same bits), keeps the

@@ -1,4 +1,4 @@
-//! Real spherical harmonics up to degree 3 in the sign convention of 3DGS (`gaussian-rasterizer.md` section 8).
+//! Real spherical harmonics up to degree 3 in the sign convention of 3DGS (`docs/spec/rasteriser.md` section 8).
 
 /// Highest degree.
 pub const MAX_DEGREE: usize = 3;

@@ -1,4 +1,4 @@
-//! Compositing of one tile (`gaussian-rasterizer.md` section 7).
+//! Compositing of one tile (`docs/spec/rasteriser.md` section 7).
 //!
 //! A tile is cut into blocks of 4 x 4 pixels; a block is one vector of sixteen lanes, so that its transmittance and its
 //! sums stay in registers while it walks its Gaussians. The tile's list is taken in batches of 64: a batch is laid out

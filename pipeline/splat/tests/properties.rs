@@ -1,4 +1,4 @@
-//! What must hold for every scene (`gaussian-rasterizer.md` sections 10 and 12): neither tiles, instruction sets, threads
+//! What must hold for every scene (`docs/spec/rasteriser.md` sections 10 and 12): neither tiles, instruction sets, threads
 //! nor the order of the input show in the result, and the sums obey their identities.
 
 mod common {

@@ -1,4 +1,4 @@
-//! The fixed blocks: prologue, index entry, footer, and their limits (`chunk-format.md` section 3).
+//! The fixed blocks: prologue, index entry, footer, and their limits (`docs/spec/r4c.md` section 3).
 
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;

@@ -23,7 +23,7 @@ pub struct Clip {
     pub episode_frames: Vec<u32>,
     /// Source times as clip frames, ascending (default 0, 4, 8, 12, 16).
     pub source_frames: Vec<u32>,
-    /// Distinct query times as clip frames, ascending (`scoring.md` section 3).
+    /// Distinct query times as clip frames, ascending (`docs/spec/scoring.md` section 3).
     pub query_frames: Vec<u32>,
     /// Anchor time of displacement scores, a clip frame.
     pub anchor_frame: u32,

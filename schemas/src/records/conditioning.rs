@@ -1,4 +1,4 @@
-//! FK conditioning maps kappa, stored sparse and lossless (`stage1-network.md` section 11).
+//! FK conditioning maps kappa, stored sparse and lossless (`docs/spec/stage1.md` section 11).
 
 use crate::records::clip::SourceView;
 

@@ -12,7 +12,7 @@ pub const RAW_CHANNELS: usize = 11;
 /// with `n = (s * H + row) * W + column`, and keeps that identity at all times.
 ///
 /// Lengths are metres in the reconstruction frame. The raw scale is a pre-activation whose activated value
-/// `min(0.3, 0.001 * softplus(raw))` is in internal units (`stage1-network.md` section 7).
+/// `min(0.3, 0.001 * softplus(raw))` is in internal units (`docs/spec/stage1.md` section 7).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Field {
     /// The clip this belongs to.

@@ -51,6 +51,6 @@ pub struct RefinementStep {
     /// 1 for Gaussians that have a correction. `[N]`
     pub touched: Vec<u8>,
     /// Corrections of the touched Gaussians in index order: position in METRES (bounded by 0.05 m), the others in the
-    /// Stage-1 pre-activation parameterisation (`stage2-network.md` section B.2). `[M, RESIDUAL_CHANNELS]`
+    /// Stage-1 pre-activation parameterisation (`docs/spec/stage2.md` section B.2). `[M, RESIDUAL_CHANNELS]`
     pub values: Vec<f32>,
 }

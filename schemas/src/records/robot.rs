@@ -17,7 +17,7 @@ pub struct RobotMaps {
     pub base_from_camera: Vec<RigidPose>,
     /// H, base-to-reconstruction: the inverse of the first source camera's pose at the first source frame.
     pub recon_from_base: RigidPose,
-    /// Tool centre in the base frame, metres, per frame (`stage1-network.md` section 11). `[F, 3]`
+    /// Tool centre in the base frame, metres, per frame (`docs/spec/stage1.md` section 11). `[F, 3]`
     pub tool_m: Vec<f64>,
     /// Map height, pixels.
     pub height: u32,
@@ -41,7 +41,7 @@ pub struct RobotMap {
     pub depth_m: Vec<f32>,
     /// Link id, [`NO_LINK`] where nothing is hit. `[H, W]`
     pub link: Vec<u8>,
-    /// 1 on valid robot support: hit, depth in range, eroded at boundaries (`stage1-network.md` section 10). `[H, W]`
+    /// 1 on valid robot support: hit, depth in range, eroded at boundaries (`docs/spec/stage1.md` section 10). `[H, W]`
     pub support: Vec<u8>,
 }
 

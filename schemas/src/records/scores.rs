@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Written by `score`. A metric that cannot be measured is `None`, never 0 (`scoring.md` section 11).
+/// Written by `score`. A metric that cannot be measured is `None`, never 0 (`docs/spec/scoring.md` section 11).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scores {
     /// Numbers.

@@ -1,4 +1,4 @@
-//! Bringing images to the clip's size (`stage1-network.md` section 2): scale, cut at the centre, intrinsics follow.
+//! Bringing images to the clip's size (`docs/spec/stage1.md` section 2): scale, cut at the centre, intrinsics follow.
 
 use rogs_schemas::Intrinsics;
 

@@ -14,7 +14,7 @@ use crate::lifting::{Base, MotionHeads, lift_base, quaternion_product};
 use crate::source::{Source, View};
 use crate::{LiftParams, Model, Phases, Work, lift_slices, stage_error};
 
-/// Scale of an activated raw scale: `SCALE_STEP softplus(raw)` (`stage1-network.md` section 7).
+/// Scale of an activated raw scale: `SCALE_STEP softplus(raw)` (`docs/spec/stage1.md` section 7).
 const SCALE_STEP: f64 = 0.001;
 /// Largest activated scale, internal units.
 const MAX_SCALE: f64 = 0.3;

@@ -1,4 +1,4 @@
-//! Latents of a video tokenizer in place of RGB tokens (`latents.md`).
+//! Latents of a video tokenizer in place of RGB tokens (`docs/spec/latents.md`).
 //!
 //! A clip's latents are a safetensors file with metadata (all of them text): `rogs.kind` = `latents`, `episode_id`,
 //! `stride` (8 or 16 pixels per latent), `temporal_stride` (4), `normalised` (`true` or `false`), `layout` (`concat_view` or
@@ -206,7 +206,7 @@ impl LatentFile {
         Ok(region)
     }
 
-    /// The part of a composite that shows one camera (`latents.md` section 2).
+    /// The part of a composite that shows one camera (`docs/spec/latents.md` section 2).
     fn crop(&self, source: &Source<'_>, camera: u32) -> StageResult<Region> {
         let cameras = source.clip.source_cameras();
         let place = cameras.iter().position(|&known| known == camera);

@@ -1,4 +1,4 @@
-//! The recurrent refinement of one clip (`stage2-network.md` section B.7).
+//! The recurrent refinement of one clip (`docs/spec/stage2.md` section B.7).
 
 use std::time::{Duration, Instant};
 

@@ -2,7 +2,7 @@
 //!
 //! The stage reads a clip and a URDF, runs forward kinematics on the recorded joints, resolves the poses of all cameras
 //! (hand-eye cameras follow their link), fixes the reconstruction frame at the first source camera and source time, and
-//! rasterises mesh depth and link ids for every source camera and frame (`stage1-network.md` sections 9 and 10).
+//! rasterises mesh depth and link ids for every source camera and frame (`docs/spec/stage1.md` sections 9 and 10).
 
 mod build;
 mod params;

@@ -14,7 +14,7 @@ pub struct Params {
     pub support: SupportRule,
 }
 
-/// Which pixels count as valid robot support (`stage1-network.md` section 10).
+/// Which pixels count as valid robot support (`docs/spec/stage1.md` section 10).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SupportRule {

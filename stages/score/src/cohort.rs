@@ -1,4 +1,4 @@
-//! Selection of the evaluation cohort (`scoring.md` section 1): which episodes are scored, fixed before any model runs.
+//! Selection of the evaluation cohort (`docs/spec/scoring.md` section 1): which episodes are scored, fixed before any model runs.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read as _;

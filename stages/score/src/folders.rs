@@ -9,7 +9,7 @@ use serde::Serialize;
 use crate::metrics::{MetricError, RgbView, SsimVariant, depth_scores, depth_support, mean, psnr, ssim};
 use crate::pictures::{Content, EXTENSIONS, Picture, PictureError, extension, read_pictures};
 
-/// Reference depths that count, metres, both ends excluded (`scoring.md` section 5).
+/// Reference depths that count, metres, both ends excluded (`docs/spec/scoring.md` section 5).
 pub const DEPTH_RANGE_M: [f32; 2] = [0.1, 5.0];
 
 /// Scores of one pair of images or depth maps. What does not apply, or cannot be measured, is none.

@@ -1,4 +1,4 @@
-//! From score sheets to per-clip values and means (`scoring.md` section 8).
+//! From score sheets to per-clip values and means (`docs/spec/scoring.md` section 8).
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -1,4 +1,4 @@
-//! Times and memory of one clip (`scoring.md` section 9).
+//! Times and memory of one clip (`docs/spec/scoring.md` section 9).
 
 use serde::{Deserialize, Serialize};
 

@@ -1,4 +1,4 @@
-//! The edge cases of `scoring.md` section 12, one test each.
+//! The edge cases of `docs/spec/scoring.md` section 12, one test each.
 
 use rogs_random::{query_plan, query_plan_from_words};
 use rogs_schemas::records::scores::{ImageScore, RobotDepthScore, ScoreSheet, TrackScore};

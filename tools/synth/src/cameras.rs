@@ -1,5 +1,5 @@
 //! Cameras with DROID's geometry: a ZED-Mini-like stereo pair on the flange and two ZED-2-like pairs beside the base
-//! (statistics: `datasets.md` section 0).
+//! (statistics: `docs/spec/data.md` section 0).
 
 use glam::{DAffine3, DMat3, DVec3};
 use rogs_schemas::Intrinsics;

@@ -1,5 +1,5 @@
 //! Settings of a training run: one TOML file, every key optional. Defaults are the paper's schedule
-//! (`stage1-network.md` sections 14 and 15).
+//! (`docs/spec/stage1.md` sections 14 and 15).
 
 use std::path::{Path, PathBuf};
 

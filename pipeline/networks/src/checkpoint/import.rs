@@ -165,7 +165,7 @@ fn strip_folders(name: &str) -> &str {
     rest
 }
 
-/// Our name of a tensor of a VGGT checkpoint (`stage1-network.md` section 8).
+/// Our name of a tensor of a VGGT checkpoint (`docs/spec/stage1.md` section 8).
 fn from_vggt(name: &str) -> String {
     const RULES: [(&str, &str); 4] = [
         ("aggregator.patch_embed.", "backbone.encoder."),

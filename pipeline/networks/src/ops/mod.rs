@@ -14,7 +14,7 @@ use crate::parameters::Scope;
 
 pub use resample::resize;
 
-/// alpha / rank of low-rank updates: 16 / 32 (`stage1-network.md` section 9). The ratio is fixed, whatever the rank.
+/// alpha / rank of low-rank updates: 16 / 32 (`docs/spec/stage1.md` section 9). The ratio is fixed, whatever the rank.
 pub const LORA_SCALE: f64 = 0.5;
 
 /// y = x W^T + b with the weight as PyTorch stores it, plus a low-rank update where there is one.

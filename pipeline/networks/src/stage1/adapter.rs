@@ -1,5 +1,5 @@
 //! The optional latent-token adapter: patch tokens from the latents of a video tokenizer instead of RGB
-//! (`stage1-network.md` section 13, `latents.md`).
+//! (`docs/spec/stage1.md` section 13, `docs/spec/latents.md`).
 
 use burn::tensor::Tensor;
 
@@ -93,7 +93,7 @@ impl<'a> LatentAdapter<'a> {
 }
 
 /// Brings one camera region's latents to the grid of 2 x 2 cells per token: unchanged, each value repeated 2 x 2, or the mean
-/// of 2 x 2 (`latents.md` section 4). `[S, 48, h, w] -> [S, 48, 2 rows, 2 columns]`
+/// of 2 x 2 (`docs/spec/latents.md` section 4). `[S, 48, h, w] -> [S, 48, 2 rows, 2 columns]`
 ///
 /// # Errors
 /// When the region has another size.

@@ -1,4 +1,4 @@
-//! Camera and time conditioning, and the alternating frame and global blocks (`stage1-network.md` sections 4 and 5).
+//! Camera and time conditioning, and the alternating frame and global blocks (`docs/spec/stage1.md` sections 4 and 5).
 
 use burn::tensor::Tensor;
 

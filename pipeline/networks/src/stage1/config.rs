@@ -17,7 +17,7 @@ pub const RGB_MEAN: [f32; 3] = [0.485, 0.456, 0.406];
 /// Standard deviation of the RGB normalisation in front of the image encoder.
 pub const RGB_STD: [f32; 3] = [0.229, 0.224, 0.225];
 
-/// Sizes of the network (`stage1-network.md` sections 3 to 6).
+/// Sizes of the network (`docs/spec/stage1.md` sections 3 to 6).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stage1Config {

@@ -1,4 +1,4 @@
-//! From raw head outputs to Gaussians: activations and motion gates (`stage1-network.md` section 7).
+//! From raw head outputs to Gaussians: activations and motion gates (`docs/spec/stage1.md` section 7).
 
 use burn::tensor::{Tensor, activation};
 

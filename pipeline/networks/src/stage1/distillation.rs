@@ -1,5 +1,5 @@
 //! What the latent adapter is judged by: how close its tokens, and what the frozen network makes of them, come to those of
-//! the RGB path (`latents.md` section 5, after the paper's appendix on the latent-token interface).
+//! the RGB path (`docs/spec/latents.md` section 5, after the paper's appendix on the latent-token interface).
 
 use burn::tensor::Tensor;
 

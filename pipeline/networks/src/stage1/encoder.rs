@@ -1,4 +1,4 @@
-//! The image encoder: patch tokens of each frame on its own (`stage1-network.md` section 3).
+//! The image encoder: patch tokens of each frame on its own (`docs/spec/stage1.md` section 3).
 
 use burn::tensor::Tensor;
 

@@ -194,7 +194,7 @@ impl Camera {
 }
 
 /// Unit quaternion (x, y, z, w) of a rotation with w >= 0, by the largest of the four candidates, first on ties
-/// (`stage1-network.md` section 4).
+/// (`docs/spec/stage1.md` section 4).
 fn quaternion(m: &[[f64; 3]; 3]) -> [f64; 4] {
     let (a, b, c) = (m[0][0], m[1][1], m[2][2]);
     let square = [1.0 + a + b + c, 1.0 + a - b - c, 1.0 - a + b - c, 1.0 - a - b + c];

@@ -1,4 +1,4 @@
-//! The dense heads: four tapped token maps to one map at image size (`stage1-network.md` section 6).
+//! The dense heads: four tapped token maps to one map at image size (`docs/spec/stage1.md` section 6).
 
 use std::sync::{Arc, OnceLock};
 

@@ -5,7 +5,7 @@ use super::{adapter, stem, sweep};
 use crate::parameters::ParameterSource;
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 
-/// How a parameter starts when no checkpoint gives it (`stage1-network.md`, appendix).
+/// How a parameter starts when no checkpoint gives it (`docs/spec/stage1.md`, appendix).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Initial {
     /// All equal.

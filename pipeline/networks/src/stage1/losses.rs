@@ -1,4 +1,4 @@
-//! Losses of the released network that train its heads (`stage1-network.md` section 14.1).
+//! Losses of the released network that train its heads (`docs/spec/stage1.md` section 14.1).
 
 use burn::tensor::Tensor;
 

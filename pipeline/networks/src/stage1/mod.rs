@@ -1,4 +1,4 @@
-//! The Stage-1 lifting network (`stage1-network.md`).
+//! The Stage-1 lifting network (`docs/spec/stage1.md`).
 //!
 //! [`Stage1::encode`] turns the source frames of a clip into what the heads read; [`Stage1::head`] gives the dense heads,
 //! of which the motion heads are asked once per query time.

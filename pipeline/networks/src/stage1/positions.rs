@@ -99,7 +99,7 @@ const ROTARY_BASE: f64 = 100.0;
 
 /// Cosines and sines of the rotary embedding for a list of positions. `[T, head_size]` each, laid out so that
 /// `y = x * cos + swap(x) * sin` where `swap` exchanges the two quarters of each half and the sine of the first quarter
-/// carries the minus sign (`stage1-network.md` section 5).
+/// carries the minus sign (`docs/spec/stage1.md` section 5).
 #[derive(Debug, Clone, PartialEq)]
 pub struct RotaryTable {
     /// Cosines. `[T, head_size]`

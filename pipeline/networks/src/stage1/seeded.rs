@@ -1,7 +1,7 @@
 //! Seeded weights: what training starts from when there is no checkpoint, and what the demo runs with.
 //!
 //! Values depend on the seed, the tensor's name and the position in it, on nothing else. Besides the initial values of
-//! `stage1-network.md` (appendix) the last layers start where an untrained network already gives a plausible picture:
+//! `docs/spec/stage1.md` (appendix) the last layers start where an untrained network already gives a plausible picture:
 //! about one metre of depth, the pixel's own colour, opaque splats about a pixel wide, no motion.
 
 use super::config::{HeadKind, Stage1Config};

@@ -30,7 +30,7 @@ impl RefinerConfig {
     /// Names of the presets.
     pub const PRESETS: [&'static str; 3] = ["paper", "cpu", "ci"];
 
-    /// A preset by name (`stage2-network.md` section C.3).
+    /// A preset by name (`docs/spec/stage2.md` section C.3).
     ///
     /// # Errors
     /// When there is no such preset.

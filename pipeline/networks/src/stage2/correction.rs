@@ -1,5 +1,5 @@
 //! The accumulated, time-shared correction of a field and the attributes that the updater sees
-//! (`stage2-network.md` sections B.2 and B.6).
+//! (`docs/spec/stage2.md` sections B.2 and B.6).
 
 use rayon::prelude::*;
 use rogs_schemas::records::field::RAW_CHANNELS;

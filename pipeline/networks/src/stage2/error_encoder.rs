@@ -1,4 +1,4 @@
-//! The frozen error encoder: what differs between a render and its observation, per pixel (`stage2-network.md` B.4).
+//! The frozen error encoder: what differs between a render and its observation, per pixel (`docs/spec/stage2.md` B.4).
 
 use rayon::prelude::*;
 

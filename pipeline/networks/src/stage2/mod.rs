@@ -1,5 +1,5 @@
 //! The Stage-2 refiner: rendering feedback, pooled onto Gaussians, drives a recurrent point-attention updater whose
-//! residuals are shared by all query times (`stage2-network.md`, part B).
+//! residuals are shared by all query times (`docs/spec/stage2.md`, part B).
 //!
 //! The frozen half ([`ErrorEncoder`]: ResNet-18 front and multi-view attention) runs on slice kernels of this crate,
 //! because nothing is ever differentiated through it. The trained half ([`Updater`]: observation projection, input

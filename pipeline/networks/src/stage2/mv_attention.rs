@@ -1,4 +1,4 @@
-//! Multi-view attention at low resolution: the only place where views see each other (`stage2-network.md` A.4).
+//! Multi-view attention at low resolution: the only place where views see each other (`docs/spec/stage2.md` A.4).
 
 use rayon::prelude::*;
 

@@ -1,4 +1,4 @@
-//! The training objective of Stage 2 (`stage2-network.md` section B.8), as tensors that gradients pass through.
+//! The training objective of Stage 2 (`docs/spec/stage2.md` section B.8), as tensors that gradients pass through.
 
 use burn::tensor::Tensor;
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,4 @@
-//! Observation encoders: what the hidden state starts from (`stage2-network.md` section B.3).
+//! Observation encoders: what the hidden state starts from (`docs/spec/stage2.md` section B.3).
 
 use burn::tensor::Tensor;
 

@@ -1,5 +1,5 @@
 //! The released ReSplat models: every tensor of the initial network and of the refiner by name and shape, and the import
-//! of such a file (`stage2-network.md` sections A.7 and A.9).
+//! of such a file (`docs/spec/stage2.md` sections A.7 and A.9).
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

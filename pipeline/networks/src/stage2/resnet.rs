@@ -1,4 +1,4 @@
-//! The frozen front of a ResNet-18: three feature maps of an image (`stage2-network.md` section A.3).
+//! The frozen front of a ResNet-18: three feature maps of an image (`docs/spec/stage2.md` section A.3).
 
 use super::kernels::{Conv, Plane, add_assign, add_resized, max_pool_3x3_stride_2, relu_in_place};
 use crate::parameters::Parameters;

@@ -1,5 +1,5 @@
 //! The recurrent updater: attributes, state and pooled feedback to a new state and a residual
-//! (`stage2-network.md` sections A.5 and B.6).
+//! (`docs/spec/stage2.md` sections A.5 and B.6).
 
 use burn::tensor::activation::{sigmoid, softmax};
 use burn::tensor::{Device, Int, Tensor, TensorData};

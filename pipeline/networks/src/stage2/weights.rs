@@ -11,7 +11,7 @@ use crate::{Error, Result};
 /// Initial logit of every residual gate (gate 0.119).
 pub const INITIAL_GATE_LOGIT: f32 = -2.0;
 
-/// Parameters that this project adds to those of the released refiner (`stage2-network.md` section B.9).
+/// Parameters that this project adds to those of the released refiner (`docs/spec/stage2.md` section B.9).
 pub const OWN_PARAMETERS: [&str; 3] = [
     "encoder.update_gate.logit",
     "encoder.update_obs_proj.bias",

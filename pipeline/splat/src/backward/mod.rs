@@ -1,4 +1,4 @@
-//! Gradients of a render with respect to everything that went in (`gaussian-rasterizer.md` section 9), hand-written.
+//! Gradients of a render with respect to everything that went in (`docs/spec/rasteriser.md` section 9), hand-written.
 //!
 //! The backward pass walks each tile's list from back to front. With `R` the colour behind a Gaussian, seen through the
 //! gradient image and normalised by the transmittance there, `dL/dalpha = T (q - R)` and `R` moves by `alpha (q - R)`:

@@ -1,4 +1,4 @@
-//! DROID episodes as Ctrl-World keeps them (`datasets.md` section 4): `annotation/[SPLIT/]ID.json` and
+//! DROID episodes as Ctrl-World keeps them (`docs/spec/data.md` section 4): `annotation/[SPLIT/]ID.json` and
 //! `videos/[SPLIT/]ID/{0,1,2}.mp4`, every third frame of the 15 Hz recording; and the rig of its authors, whose states
 //! are already at the rate of the video.
 

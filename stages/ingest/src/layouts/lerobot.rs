@@ -1,4 +1,4 @@
-//! LeRobot data sets, v2.1 and v3.0 (`datasets.md` section 5): parquet tables and shared or own mp4 files.
+//! LeRobot data sets, v2.1 and v3.0 (`docs/spec/data.md` section 5): parquet tables and shared or own mp4 files.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! Gradients of the Stage-2 objective with respect to the trained parameters (`stage2-network.md` section B.8).
+//! Gradients of the Stage-2 objective with respect to the trained parameters (`docs/spec/stage2.md` section B.8).
 //!
 //! Corrections and feedback renders are constants from one update to the next; only the hidden state carries gradients
 //! through time. So the objective after update `r` depends on the parameters through the residuals of that update

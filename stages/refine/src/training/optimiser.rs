@@ -8,7 +8,7 @@ use rogs_worker::StageResult;
 
 use crate::refinement::internal;
 
-/// AdamW over the trained parameters of a store (`stage2-network.md` section B.8). Rates are fields, so that a schedule
+/// AdamW over the trained parameters of a store (`docs/spec/stage2.md` section B.8). Rates are fields, so that a schedule
 /// sets them before each step.
 #[derive(Debug, Clone)]
 pub struct AdamW {

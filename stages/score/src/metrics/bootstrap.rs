@@ -1,4 +1,4 @@
-//! Percentile bootstrap over clips (`scoring.md` section 8).
+//! Percentile bootstrap over clips (`docs/spec/scoring.md` section 8).
 
 use rogs_random::Pcg64;
 

@@ -1,4 +1,4 @@
-//! Depth metrics over a support that does not depend on the prediction (`scoring.md` section 5).
+//! Depth metrics over a support that does not depend on the prediction (`docs/spec/scoring.md` section 5).
 
 use crate::metrics::stats::median;
 

@@ -1,4 +1,4 @@
-//! The metrics of the paper's evaluation, each a plain function of arrays (`scoring.md` sections 4 to 8).
+//! The metrics of the paper's evaluation, each a plain function of arrays (`docs/spec/scoring.md` sections 4 to 8).
 //!
 //! Arithmetic is f64 throughout and every sum has a fixed order, so that a score is the same for any number of threads.
 

@@ -1,4 +1,4 @@
-//! Robot metrics: displacement error on tracks and depth error on the robot's core (`scoring.md` sections 6 and 7).
+//! Robot metrics: displacement error on tracks and depth error on the robot's core (`docs/spec/scoring.md` sections 6 and 7).
 
 use rogs_schemas::records::robot::NO_LINK;
 

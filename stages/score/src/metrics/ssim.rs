@@ -1,4 +1,4 @@
-//! Structural similarity with the 11-tap Gaussian window, in the three variants in use (`scoring.md` section 4).
+//! Structural similarity with the 11-tap Gaussian window, in the three variants in use (`docs/spec/scoring.md` section 4).
 //!
 //! The windowed means of x, y, xy and x^2 + y^2 are all that the index needs (the two variances only occur as a sum), so
 //! four maps are filtered instead of five. Rows are filtered with the channels interleaved: a tap of the horizontal pass

@@ -1,4 +1,4 @@
-//! Gaussians moved by shared rigid motions: the fields of Shape of Motion (`baseline-som.md` section 5).
+//! Gaussians moved by shared rigid motions: the fields of Shape of Motion (`docs/spec/baseline-som.md` section 5).
 
 use rogs_splat::{Colour, Gaussians};
 

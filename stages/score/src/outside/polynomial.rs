@@ -1,4 +1,4 @@
-//! Gaussians that move along polynomials of time and fade in and out: the fields of 4DGT (`baseline-4dgt.md` section 8).
+//! Gaussians that move along polynomials of time and fade in and out: the fields of 4DGT (`docs/spec/baseline-4dgt.md` section 8).
 
 use rogs_splat::{Colour, Gaussians};
 

@@ -1,4 +1,4 @@
-//! The mean camera frame in which 4DGT sees a stream (`baseline-4dgt.md` section 7).
+//! The mean camera frame in which 4DGT sees a stream (`docs/spec/baseline-4dgt.md` section 7).
 
 use glam::DVec3;
 use rogs_schemas::RigidPose;

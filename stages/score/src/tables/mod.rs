@@ -1,4 +1,4 @@
-//! The tables of the paper from score sheets (`scoring.md` section 10).
+//! The tables of the paper from score sheets (`docs/spec/scoring.md` section 10).
 //!
 //! A row is a method label of the score sheets. Labels of variants are a method and what differs, separated by `/`:
 //!

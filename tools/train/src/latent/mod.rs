@@ -1,5 +1,5 @@
 //! Training of the latent adapter: its tokens, and what a frozen Stage 1 makes of them, are to come close to those of the
-//! RGB path (`latents.md` section 5, after the paper's appendix on the latent-token interface).
+//! RGB path (`docs/spec/latents.md` section 5, after the paper's appendix on the latent-token interface).
 
 mod clips;
 mod settings;

@@ -1,4 +1,4 @@
-//! Settings of the training of a latent adapter; defaults are those of its first phase (`latents.md` section 5).
+//! Settings of the training of a latent adapter; defaults are those of its first phase (`docs/spec/latents.md` section 5).
 
 use std::path::{Path, PathBuf};
 

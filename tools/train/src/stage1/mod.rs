@@ -1,4 +1,4 @@
-//! Training of Stage 1, the lifting network (`stage1-network.md` sections 14 and 15).
+//! Training of Stage 1, the lifting network (`docs/spec/stage1.md` sections 14 and 15).
 
 mod checkpointed;
 mod evaluate;

@@ -1,4 +1,4 @@
-//! The losses of Stage 1 (`stage1-network.md` section 14): those of the network's outputs here, those of renders beside.
+//! The losses of Stage 1 (`docs/spec/stage1.md` section 14): those of the network's outputs here, those of renders beside.
 
 use std::collections::BTreeMap;
 

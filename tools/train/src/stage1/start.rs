@@ -170,7 +170,7 @@ fn add_low_rank_updates(network: &mut Stage1, settings: &Stage1Training) -> Resu
     Ok(())
 }
 
-/// Peak learning rate of a parameter, `None` when it is not trained (`stage1-network.md` section 15).
+/// Peak learning rate of a parameter, `None` when it is not trained (`docs/spec/stage1.md` section 15).
 #[must_use]
 pub fn rate_of(name: &str, settings: &OptimiserSettings) -> Option<f64> {
     let head = name.contains("_head.");

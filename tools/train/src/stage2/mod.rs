@@ -1,5 +1,5 @@
 //! Training of Stage 2, the refiner, on fields that a trained Stage 1 lifts from procedural clips
-//! (`stage2-network.md` section B.8).
+//! (`docs/spec/stage2.md` section B.8).
 
 mod lifted;
 mod settings;

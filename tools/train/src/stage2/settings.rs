@@ -1,4 +1,4 @@
-//! Settings of a Stage-2 run; defaults are those of the specification (`stage2-network.md` section B.8).
+//! Settings of a Stage-2 run; defaults are those of the specification (`docs/spec/stage2.md` section B.8).
 
 use std::path::{Path, PathBuf};
 

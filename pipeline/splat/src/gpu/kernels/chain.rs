@@ -1,4 +1,4 @@
-//! From the sums of the pairs to the parameters of the Gaussians and the cameras (`gaussian-rasterizer.md` sections 9.3 to
+//! From the sums of the pairs to the parameters of the Gaussians and the cameras (`docs/spec/rasteriser.md` sections 9.3 to
 //! 9.6). The formulas are those of `crate::backward`.
 
 use cubecl::prelude::*;

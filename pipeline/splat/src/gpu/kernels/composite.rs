@@ -1,5 +1,5 @@
 //! Compositing: one cube per tile, one unit per pixel, Gaussians in batches through shared memory
-//! (`gaussian-rasterizer.md` section 7).
+//! (`docs/spec/rasteriser.md` section 7).
 
 use cubecl::prelude::*;
 

@@ -1,5 +1,5 @@
 //! The sparse contribution matrix: which pixels every pair touches, their weights, and the sums over them
-//! (`gaussian-rasterizer.md` section 10).
+//! (`docs/spec/rasteriser.md` section 10).
 
 use cubecl::prelude::*;
 

@@ -1,4 +1,4 @@
-//! Projection: one unit per Gaussian and view (`gaussian-rasterizer.md` sections 3 to 5), and the tiles that it reaches.
+//! Projection: one unit per Gaussian and view (`docs/spec/rasteriser.md` sections 3 to 5), and the tiles that it reaches.
 
 use cubecl::prelude::*;
 

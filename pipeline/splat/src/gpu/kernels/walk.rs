@@ -1,4 +1,4 @@
-//! The backward pass over the tiles, from back to front (`gaussian-rasterizer.md` sections 9.1 and 9.2).
+//! The backward pass over the tiles, from back to front (`docs/spec/rasteriser.md` sections 9.1 and 9.2).
 //!
 //! Batches of sixteen Gaussians: every unit takes its pixel through the batch and leaves weight and `dL/dp` of each pair in
 //! shared memory; then four units a Gaussian sum them over the pixels, in fixed order. Every pair has sums of its own, so
