@@ -1,4 +1,4 @@
-//! Manifest, plan, cache keys, executors, ledger and report.
+//! Manifest, plan, cache keys, executors and ledger.
 //!
 //! The program `rogs` is a thin command line over this crate. The way through it:
 //!
@@ -19,7 +19,6 @@
 //! | `plan` | [`Prepared::load`], [`estimate::estimate`]; `--explain`: [`plan::Plan::explain_clip`] | [`estimate::Estimate`], [`explain::Explanation`] |
 //! | `run` (= `resume`) | [`Prepared::run`] | [`executor::RunSummary`] |
 //! | `status` | [`status::status`] | [`status::Status`] |
-//! | `report` | [`report::write_report`] over a [`report::ReportInput`] that the caller fills | - |
 //! | `verify` | [`verify::verify`] | [`verify::Verification`] |
 //! | `plan --emit jsonl` | [`export::export`] | [`export::Export`] |
 //! | `submit` (Slurm) | [`slurm::submit`] | [`slurm::Submission`] |
@@ -47,7 +46,6 @@ pub mod manifest;
 pub mod plan;
 pub mod prepare;
 pub mod programs;
-pub mod report;
 pub mod slurm;
 pub mod sources;
 pub mod state;

@@ -5,7 +5,6 @@
 
 mod commands;
 mod output;
-mod run_report;
 mod stages;
 
 use std::ffi::OsString;

@@ -3,13 +3,13 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use rogs_report::RunResults;
 use rogs_score::tables::{Table, TableId, TableOptions, to_text};
 use serde::Serialize;
 
 use super::run::{Machine, RunOutcome, describe, execute};
 use super::synth;
 use crate::output;
-use crate::run_report::RunResults;
 
 /// Makes procedural episodes, runs every stage on them, prints the score table and the report's path.
 #[derive(Debug, clap::Args)]

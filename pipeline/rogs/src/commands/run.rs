@@ -6,10 +6,10 @@ use std::process::ExitCode;
 use rogs_orchestrator::executor::RunSummary;
 use rogs_orchestrator::programs::StagePrograms;
 use rogs_orchestrator::{Exit, Interrupts, Prepared};
+use rogs_report::RunResults;
 use serde::Serialize;
 
 use crate::output;
-use crate::run_report::RunResults;
 
 /// Runs a manifest, or goes on with a run folder: makes every output that is missing or stale, then the report.
 ///

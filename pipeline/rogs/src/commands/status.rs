@@ -7,9 +7,9 @@ use std::process::ExitCode;
 use rogs_orchestrator::Exit;
 use rogs_orchestrator::status::status;
 use rogs_orchestrator::verify::verify;
+use rogs_report::RunResults;
 
 use crate::output;
-use crate::run_report::RunResults;
 
 /// A run folder to look at.
 #[derive(Debug, clap::Args)]

@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context as _;
+use rogs_report::RunResults;
 use rogs_score::cohort::{CohortCounts, Selection};
 use rogs_score::tables::{TableId, TableOptions, to_csv, to_latex, to_text};
 
 use crate::output;
-use crate::run_report::RunResults;
 
 /// Prints a table of the paper, made from the scores of a run folder.
 #[derive(Debug, clap::Args)]

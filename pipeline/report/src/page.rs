@@ -4,9 +4,6 @@
 //! scoring code. The page needs no network and no script: pictures are inlined, names are escaped, and a content security
 //! policy forbids everything else.
 
-mod html;
-mod pictures;
-
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -17,77 +14,77 @@ use rogs_schemas::records::field::WeightsInfo;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::Scores;
 
-pub use pictures::overlay;
+use crate::{html, pictures};
 
 /// Everything a report shows.
 #[derive(Debug, Clone, Default)]
-pub struct ReportInput {
+pub(crate) struct ReportInput {
     /// Name of the run.
-    pub run_name: String,
+    pub(crate) run_name: String,
     /// One line about the run: what was done, by which version.
-    pub summary: Vec<(String, String)>,
+    pub(crate) summary: Vec<(String, String)>,
     /// Tables, in order.
-    pub tables: Vec<ReportTable>,
+    pub(crate) tables: Vec<ReportTable>,
     /// Plots over all clips, in order.
-    pub plots: Vec<Plot>,
+    pub(crate) plots: Vec<Plot>,
     /// Clips, in order.
-    pub clips: Vec<ClipReport>,
+    pub(crate) clips: Vec<ClipReport>,
     /// At most this many clips get pictures; the others are listed.
-    pub max_picture_clips: usize,
+    pub(crate) max_picture_clips: usize,
 }
 
 /// A table of text cells.
 #[derive(Debug, Clone, Default)]
-pub struct ReportTable {
+pub(crate) struct ReportTable {
     /// Heading.
-    pub title: String,
+    pub(crate) title: String,
     /// Column heads.
-    pub columns: Vec<String>,
+    pub(crate) columns: Vec<String>,
     /// Rows of cells, each as long as `columns`.
-    pub rows: Vec<Vec<String>>,
+    pub(crate) rows: Vec<Vec<String>>,
     /// Footnotes.
-    pub footnotes: Vec<String>,
+    pub(crate) footnotes: Vec<String>,
 }
 
 /// One clip of the run.
 #[derive(Debug, Clone, Default)]
-pub struct ClipReport {
+pub(crate) struct ClipReport {
     /// Clip id.
-    pub clip_id: String,
+    pub(crate) clip_id: String,
     /// Output files that exist, by name: `clip`, `robot`, and one `scores` entry per method under its label.
-    pub clip: Option<PathBuf>,
+    pub(crate) clip: Option<PathBuf>,
     /// Robot maps.
-    pub robot: Option<PathBuf>,
+    pub(crate) robot: Option<PathBuf>,
     /// Scores by method label, in order of display.
-    pub scores: Vec<(String, PathBuf)>,
+    pub(crate) scores: Vec<(String, PathBuf)>,
     /// What went wrong.
-    pub failures: Vec<FailureReport>,
+    pub(crate) failures: Vec<FailureReport>,
     /// Seconds and peak memory by stage, for people.
-    pub timings: Vec<TimingReport>,
+    pub(crate) timings: Vec<TimingReport>,
     /// Warnings by stage.
-    pub warnings: Vec<(String, String)>,
+    pub(crate) warnings: Vec<(String, String)>,
 }
 
 /// One failed unit.
 #[derive(Debug, Clone)]
-pub struct FailureReport {
+pub(crate) struct FailureReport {
     /// Stage that failed or is blocked.
-    pub stage: String,
+    pub(crate) stage: String,
     /// What happened.
-    pub message: String,
+    pub(crate) message: String,
     /// What to do.
-    pub hint: Option<String>,
+    pub(crate) hint: Option<String>,
 }
 
 /// What one unit cost.
 #[derive(Debug, Clone)]
-pub struct TimingReport {
+pub(crate) struct TimingReport {
     /// Stage.
-    pub stage: String,
+    pub(crate) stage: String,
     /// Seconds of the unit.
-    pub seconds: f64,
+    pub(crate) seconds: f64,
     /// Peak resident memory of its worker, bytes.
-    pub peak_rss_bytes: u64,
+    pub(crate) peak_rss_bytes: u64,
 }
 
 /// What could be read of a clip.
@@ -103,7 +100,7 @@ struct ClipData {
 ///
 /// # Errors
 /// When the page cannot be written.
-pub fn write_report(folder: &Path, input: &ReportInput) -> std::io::Result<PathBuf> {
+pub(crate) fn write_report(folder: &Path, input: &ReportInput) -> std::io::Result<PathBuf> {
     std::fs::create_dir_all(folder)?;
     let mut page = html::Page::new(&input.run_name);
     page.facts(&input.summary);

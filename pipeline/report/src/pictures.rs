@@ -6,22 +6,22 @@ use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::records::scores::{RenderedView, Scores};
 
 /// An encoded picture with its caption.
-pub(super) struct Figure {
-    pub(super) caption: String,
-    pub(super) media_type: &'static str,
-    pub(super) bytes: Vec<u8>,
+pub(crate) struct Figure {
+    pub(crate) caption: String,
+    pub(crate) media_type: &'static str,
+    pub(crate) bytes: Vec<u8>,
 }
 
 /// A table of pictures: the same views by every method.
 #[derive(Default)]
-pub(super) struct Comparison {
-    pub(super) columns: Vec<String>,
+pub(crate) struct Comparison {
+    pub(crate) columns: Vec<String>,
     /// Label and one cell a column.
-    pub(super) rows: Vec<(String, Vec<Option<Figure>>)>,
+    pub(crate) rows: Vec<(String, Vec<Option<Figure>>)>,
 }
 
 /// Error, of 255, from which on error maps have their brightest colour.
-pub(super) const FULL_ERROR: u8 = 64;
+pub(crate) const FULL_ERROR: u8 = 64;
 /// Methods of a comparison at most; all of them have sheets of their own below it.
 const MAX_METHODS: usize = 6;
 
@@ -155,14 +155,6 @@ fn outline(map: &RobotMap, width: usize, height: usize) -> Vec<usize> {
     pixels
 }
 
-/// One clip image with the outline of the robot mesh in cyan, as RGB `[H, W, 3]`; `None` without image or map.
-#[must_use]
-pub fn overlay(clip: &Clip, robot: &RobotMaps, camera: u32, frame: u32) -> Option<Vec<u8>> {
-    let mut picture = frame_rgb(clip, clip.cameras.get(camera as usize)?, frame)?;
-    draw_outline(&mut picture, map_at(robot, camera, frame)?);
-    Some(picture.rgb)
-}
-
 fn draw_outline(picture: &mut Picture, map: &RobotMap) {
     for pixel in outline(map, picture.width, picture.height) {
         picture.rgb[pixel * 3..pixel * 3 + 3].copy_from_slice(&[0, 255, 255]);
@@ -170,7 +162,7 @@ fn draw_outline(picture: &mut Picture, map: &RobotMap) {
 }
 
 /// One strip per source camera: its images at the source times with the mesh outline.
-pub(super) fn inputs(clip: &Clip, robot: Option<&RobotMaps>) -> Vec<Figure> {
+pub(crate) fn inputs(clip: &Clip, robot: Option<&RobotMaps>) -> Vec<Figure> {
     let strip = |camera: u32| {
         let source = clip.cameras.get(camera as usize)?;
         let cells = clip.source_frames.iter().map(|&frame| {
@@ -186,7 +178,7 @@ pub(super) fn inputs(clip: &Clip, robot: Option<&RobotMaps>) -> Vec<Figure> {
 }
 
 /// One sheet per source camera: mesh depth above, link ids below.
-pub(super) fn robot(clip: &Clip, robot: &RobotMaps) -> Vec<Figure> {
+pub(crate) fn robot(clip: &Clip, robot: &RobotMaps) -> Vec<Figure> {
     let sheet = |camera: u32| {
         let source = clip.cameras.get(camera as usize)?;
         let maps: Vec<Option<&RobotMap>> = clip
@@ -211,7 +203,7 @@ pub(super) fn robot(clip: &Clip, robot: &RobotMaps) -> Vec<Figure> {
 }
 
 /// One sheet per camera: reference, render, absolute error (times 2), rendered depth, at some query times.
-pub(super) fn renders(clip: &Clip, scores: &Scores) -> Vec<Figure> {
+pub(crate) fn renders(clip: &Clip, scores: &Scores) -> Vec<Figure> {
     let frames = spread(&clip.query_frames);
     let sheet = |camera: &ClipCamera| {
         let views: Vec<Option<&RenderedView>> = frames
@@ -253,7 +245,7 @@ pub(super) fn renders(clip: &Clip, scores: &Scores) -> Vec<Figure> {
 
 /// Reference, prediction and error map of source and held-out cameras at an input time and at another one, where the query
 /// plan has both.
-pub(super) fn comparison(clip: &Clip, scores: &[(String, Scores)]) -> Comparison {
+pub(crate) fn comparison(clip: &Clip, scores: &[(String, Scores)]) -> Comparison {
     let methods: Vec<_> = scores
         .iter()
         .filter(|(_, scores)| !scores.renders.is_empty())

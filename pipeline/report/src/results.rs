@@ -1,14 +1,11 @@
 //! From a run folder to its report: outputs, ledger and score tables put together.
 
-mod costs;
-
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use rogs_orchestrator::ledger::{last_by_output, read_all};
 use rogs_orchestrator::plan::{Plan, Unit, read_plan};
-use rogs_orchestrator::report::{ClipReport, FailureReport, ReportInput, ReportTable, TimingReport, write_report};
 use rogs_orchestrator::state::OutputState;
 use rogs_orchestrator::status::status_of;
 use rogs_pages::{Plot, PlotPoint, Series};
@@ -20,24 +17,29 @@ use rogs_score::summary::{ImageMetric, Metric, clip_value};
 use rogs_score::tables::{Table, TableId, TableInput, TableOptions, table, to_csv, to_latex, to_text};
 use rogs_score::timing::ClipTiming;
 
-use costs::{keep_some_timings, timing};
+use crate::costs::{keep_some_timings, timing};
+use crate::page::{ClipReport, FailureReport, ReportInput, ReportTable, TimingReport, write_report};
 
 /// Clips with pictures when the manifest does not say.
 const DEFAULT_PICTURE_CLIPS: usize = 24;
 
 /// What a run folder holds for tables and reports.
-pub(crate) struct RunResults {
+#[derive(Debug)]
+pub struct RunResults {
     plan: Plan,
     clips: Vec<ClipReport>,
     /// Score sheets of all methods and clips that are up to date.
-    pub(crate) sheets: Vec<ScoreSheet>,
+    sheets: Vec<ScoreSheet>,
     /// What the units cost, for the `timing` and `main` tables.
-    pub(crate) timings: Vec<ClipTiming>,
+    timings: Vec<ClipTiming>,
 }
 
 impl RunResults {
     /// Reads the plan, the ledgers and the scores of a run folder.
-    pub(crate) fn read(run: &Path) -> anyhow::Result<Self> {
+    ///
+    /// # Errors
+    /// When it is none, or cannot be read.
+    pub fn read(run: &Path) -> anyhow::Result<Self> {
         let plan = read_plan(run)?;
         let (status, states) = status_of(&plan)?;
         let attempts = last_by_output(read_all(&plan.run)?);
@@ -130,12 +132,10 @@ impl RunResults {
     }
 
     /// One table of the paper over the clips of the run.
-    pub(crate) fn table(
-        &self,
-        id: TableId,
-        cohort: Option<&CohortCounts>,
-        options: TableOptions,
-    ) -> anyhow::Result<Table> {
+    ///
+    /// # Errors
+    /// When two outputs are scores of one method and clip.
+    pub fn table(&self, id: TableId, cohort: Option<&CohortCounts>, options: TableOptions) -> anyhow::Result<Table> {
         let input = TableInput {
             sheets: &self.sheets,
             timings: &self.timings,
@@ -144,8 +144,12 @@ impl RunResults {
         Ok(table(id, &input, options)?)
     }
 
-    /// Writes `report/index.html` and returns its path.
-    pub(crate) fn write(self) -> anyhow::Result<PathBuf> {
+    /// Writes `report/index.html` and returns its path. Files that cannot be read are named in the page instead of
+    /// stopping it.
+    ///
+    /// # Errors
+    /// When the page or a table cannot be written.
+    pub fn write(self) -> anyhow::Result<PathBuf> {
         let options = TableOptions {
             hide_empty_rows: true,
             ..TableOptions::default()

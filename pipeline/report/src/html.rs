@@ -7,8 +7,8 @@ use rogs_schemas::records::clip::{CameraMount, Clip};
 use rogs_schemas::records::field::WeightsInfo;
 use rogs_schemas::records::scores::ScoreSheet;
 
-use super::pictures::{Comparison, Figure};
-use super::{ClipReport, FailureReport, ReportTable, TimingReport};
+use crate::page::{ClipReport, FailureReport, ReportTable, TimingReport};
+use crate::pictures::{Comparison, Figure};
 
 const STYLE: &str = "
 :root{color-scheme:light dark}
@@ -39,12 +39,12 @@ fn mean(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
 }
 
 /// The page.
-pub(super) struct Page {
+pub(crate) struct Page {
     html: String,
 }
 
 impl Page {
-    pub(super) fn new(run_name: &str) -> Self {
+    pub(crate) fn new(run_name: &str) -> Self {
         let title = escape(run_name);
         let html = format!(
             "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\n\
@@ -55,7 +55,7 @@ impl Page {
         Self { html }
     }
 
-    pub(super) fn facts(&mut self, facts: &[(String, String)]) {
+    pub(crate) fn facts(&mut self, facts: &[(String, String)]) {
         self.html.push_str("<table>\n");
         for (name, value) in facts {
             let _ = writeln!(
@@ -69,7 +69,7 @@ impl Page {
     }
 
     /// A loud banner when some weights are not trained: the numbers then say nothing about the method.
-    pub(super) fn untrained_banner<'a>(&mut self, weights: impl Iterator<Item = &'a WeightsInfo>) {
+    pub(crate) fn untrained_banner<'a>(&mut self, weights: impl Iterator<Item = &'a WeightsInfo>) {
         let mut names: Vec<String> = weights
             .filter(|info| !info.trained)
             .map(|info| format!("{} ({})", info.configuration, info.description))
@@ -86,7 +86,7 @@ impl Page {
         }
     }
 
-    pub(super) fn table(&mut self, table: &ReportTable) {
+    pub(crate) fn table(&mut self, table: &ReportTable) {
         let _ = writeln!(self.html, "<h2>{}</h2>\n<table><tr>", escape(&table.title));
         for column in &table.columns {
             let _ = write!(self.html, "<th>{}</th>", escape(column));
@@ -105,7 +105,7 @@ impl Page {
         }
     }
 
-    pub(super) fn plots(&mut self, plots: &[Plot]) {
+    pub(crate) fn plots(&mut self, plots: &[Plot]) {
         let drawn: Vec<(&Plot, String)> = plots.iter().map(|plot| (plot, svg(plot))).collect();
         if drawn.iter().all(|(_, svg)| svg.is_empty()) {
             return;
@@ -118,7 +118,7 @@ impl Page {
         self.html.push_str("</div>\n");
     }
 
-    pub(super) fn failures(&mut self, clips: &[ClipReport]) {
+    pub(crate) fn failures(&mut self, clips: &[ClipReport]) {
         if clips.iter().all(|clip| clip.failures.is_empty()) {
             return;
         }
@@ -131,11 +131,11 @@ impl Page {
         }
     }
 
-    pub(super) fn raw(&mut self, html: &str) {
+    pub(crate) fn raw(&mut self, html: &str) {
         self.html.push_str(html);
     }
 
-    pub(super) fn finish(mut self) -> String {
+    pub(crate) fn finish(mut self) -> String {
         self.html.push_str("</body></html>\n");
         self.html
     }
@@ -155,29 +155,29 @@ fn failure_html(place: &str, failure: &FailureReport) -> String {
 }
 
 /// The part of one clip.
-pub(super) struct Section {
+pub(crate) struct Section {
     html: String,
 }
 
 impl Section {
-    pub(super) fn new(clip_id: &str, open: bool) -> Self {
+    pub(crate) fn new(clip_id: &str, open: bool) -> Self {
         let open = if open { " open" } else { "" };
         Self {
             html: format!("<details{open}><summary>{}</summary>\n", escape(clip_id)),
         }
     }
 
-    pub(super) fn note(&mut self, text: &str) {
+    pub(crate) fn note(&mut self, text: &str) {
         let _ = writeln!(self.html, "<p class=\"note\">{}</p>", escape(text));
     }
 
-    pub(super) fn failures(&mut self, failures: &[FailureReport]) {
+    pub(crate) fn failures(&mut self, failures: &[FailureReport]) {
         for failure in failures {
             self.html.push_str(&failure_html(&failure.stage, failure));
         }
     }
 
-    pub(super) fn warnings(&mut self, warnings: &[(String, String)]) {
+    pub(crate) fn warnings(&mut self, warnings: &[(String, String)]) {
         for (stage, warning) in warnings {
             let _ = writeln!(
                 self.html,
@@ -188,7 +188,7 @@ impl Section {
         }
     }
 
-    pub(super) fn clip_facts(&mut self, clip: &Clip) {
+    pub(crate) fn clip_facts(&mut self, clip: &Clip) {
         let mounts: Vec<String> = clip
             .cameras
             .iter()
@@ -222,7 +222,7 @@ impl Section {
         self.html.push_str("</table>\n");
     }
 
-    pub(super) fn scores(&mut self, method: &str, sheet: &ScoreSheet) {
+    pub(crate) fn scores(&mut self, method: &str, sheet: &ScoreSheet) {
         let _ = writeln!(
             self.html,
             "<h3>{}</h3><table><tr><th>views</th><th>PSNR dB</th><th>SSIM</th><th>LPIPS</th><th>AbsRel</th><th>RMSE m</th><th>δ1 %</th><th>images</th></tr>",
@@ -262,7 +262,7 @@ impl Section {
         );
     }
 
-    pub(super) fn figures(&mut self, title: &str, figures: Vec<Figure>) {
+    pub(crate) fn figures(&mut self, title: &str, figures: Vec<Figure>) {
         if figures.is_empty() {
             return;
         }
@@ -278,7 +278,7 @@ impl Section {
     }
 
     /// Reference, predictions and error maps of chosen views, methods side by side.
-    pub(super) fn comparison(&mut self, comparison: &Comparison) {
+    pub(crate) fn comparison(&mut self, comparison: &Comparison) {
         if comparison.rows.is_empty() {
             return;
         }
@@ -309,11 +309,11 @@ impl Section {
             self.html,
             "</table><p class=\"note\">Error maps: mean absolute difference of the three channels, black 0 to yellow {} of 255 \
              and more. Input times were given to the method, the others were not.</p>",
-            super::pictures::FULL_ERROR
+            crate::pictures::FULL_ERROR
         );
     }
 
-    pub(super) fn timings(&mut self, timings: &[TimingReport]) {
+    pub(crate) fn timings(&mut self, timings: &[TimingReport]) {
         if timings.is_empty() {
             return;
         }
@@ -331,7 +331,7 @@ impl Section {
         self.html.push_str("</table>\n");
     }
 
-    pub(super) fn finish(mut self) -> String {
+    pub(crate) fn finish(mut self) -> String {
         self.html.push_str("</details>\n");
         self.html
     }

@@ -14,7 +14,7 @@ const TIMING_FILE: &str = "timing.json";
 const MAX_TIMING_BYTES: u64 = 1 << 16;
 
 /// What a method's field on a clip cost: the nodes upstream of its scores, without loading weights.
-pub(super) fn timing(
+pub(crate) fn timing(
     plan: &Plan,
     clip: usize,
     score: usize,
@@ -104,7 +104,7 @@ fn given_timing(path: &Path) -> ClipTiming {
 }
 
 /// A method whose every clip was the first of its process keeps them all: a slower figure says more than none.
-pub(super) fn keep_some_timings(timings: &mut [ClipTiming]) {
+pub(crate) fn keep_some_timings(timings: &mut [ClipTiming]) {
     let name = |timing: &ClipTiming| (timing.method.clone(), timing.setting.clone());
     let warm: std::collections::BTreeSet<_> = timings.iter().filter(|t| !t.warmup).map(name).collect();
     for timing in timings.iter_mut().filter(|timing| !warm.contains(&name(timing))) {
