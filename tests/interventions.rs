@@ -5,10 +5,10 @@ mod support;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use rogs_networks::checkpoint::{ElementType, TensorSource, write};
 use rogs_schemas::read_record;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::Field;
+use rogs_weights::{ElementType, TensorSource, write};
 use serde_json::Value;
 use support::Workspace;
 
@@ -151,7 +151,7 @@ fn latents_reach_the_lift_stage_by_manifest_and_are_part_of_its_key() {
     assert!(message.contains("adapter"), "{message}");
 
     // Only the first clip has latents: its variant is lifted, the other's fails by name, the main run is untouched.
-    let width = rogs_networks::stage1::Stage1Config::compact().width;
+    let width = rogs_stage1::Stage1Config::compact().width;
     adapter(&workspace.path("adapter.safetensors"), width);
     let (clip, _) = read_record::<Clip>(&workspace.path("run/clips").join(&ids[0]).join("clip.r4c")).unwrap();
     let file = workspace.path("latents").join(format!("{}.safetensors", ids[0]));

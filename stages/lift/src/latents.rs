@@ -9,10 +9,12 @@
 use std::path::Path;
 
 use burn::tensor::{Device, Tensor};
-use rogs_networks::checkpoint::{KIND, TensorFile, resident};
-use rogs_networks::parameters::{ParameterSource, Parameters, from_host};
-use rogs_networks::stage1::Stage1;
-use rogs_networks::stage1::adapter::{LATENT_CHANNELS, LatentAdapter, to_token_cells};
+use rogs_stage1::Stage1;
+use rogs_stage1::adapter::{LATENT_CHANNELS, LatentAdapter, to_token_cells};
+use rogs_tensors::parameters::resident;
+use rogs_tensors::parameters::{Parameters, from_host};
+use rogs_weights::ParameterSource;
+use rogs_weights::{KIND, TensorFile};
 use rogs_worker::{StageError, StageResult};
 
 use crate::source::Source;

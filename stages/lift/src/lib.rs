@@ -22,15 +22,15 @@ pub use lifting::MotionOptions;
 pub use model::{COMPACT_WEIGHTS, Model, load_model};
 pub use params::{CrossCamera, LiftParams, Numbers, QueryState, RobotMotion, TokenSource};
 pub use query::FieldQuery;
-use rogs_networks::Error;
-use rogs_networks::parameters::Parameters;
-use rogs_networks::stage1::{Encoded, SourceFrames, Stage1};
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::record::{Record, SchemaId};
 use rogs_schemas::records::clip::{Clip, time_of_frame};
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::field::{Field, NamedArray, TimeSlice};
 use rogs_schemas::records::robot::RobotMaps;
+use rogs_stage1::{Encoded, SourceFrames, Stage1};
+use rogs_tensors::Error;
+use rogs_tensors::parameters::Parameters;
 use rogs_worker::{Context, Stage, StageError, StageResult};
 pub use source::RobotAtTime;
 
@@ -331,7 +331,7 @@ impl Phases<'_> {
         &mut self,
         name: &str,
         fraction: f64,
-        work: impl FnOnce() -> rogs_networks::Result<T>,
+        work: impl FnOnce() -> rogs_tensors::Result<T>,
     ) -> StageResult<T> {
         let (mut work, mut result) = (Some(work), None);
         (self.phase)(name, fraction, &mut || result = work.take().map(|work| work()));
@@ -353,9 +353,10 @@ fn robot_links(source: &Source<'_>) -> Vec<u8> {
 }
 
 /// A network error as a failure of the stage.
-pub(crate) fn stage_error(error: Error) -> StageError {
+pub(crate) fn stage_error(error: impl Into<Error>) -> StageError {
+    let error = error.into();
     match error {
-        Error::Io { .. } => StageError::io(error.to_string()),
+        Error::Weights(rogs_weights::Error::Io { .. }) => StageError::io(error.to_string()),
         Error::BadConfiguration(_) | Error::Device(_) => StageError::bad_params(error.to_string()),
         _ => StageError::bad_input(error.to_string()),
     }

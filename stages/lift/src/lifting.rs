@@ -4,15 +4,15 @@ use std::sync::OnceLock;
 
 use burn::tensor::{Device, Tensor};
 use rayon::prelude::*;
-use rogs_networks::device;
-use rogs_networks::parameters::{from_host, to_host};
-use rogs_networks::stage1::decode::{self, MotionGates, activate_depth};
-use rogs_networks::stage1::head::{DenseHead, FkBranch};
-use rogs_networks::stage1::{Encoded, HeadKind, Stage1};
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 use rogs_schemas::records::field::{GATE_ATTRIBUTES, RAW_CHANNELS, TimeSlice};
 use rogs_schemas::records::robot::NO_LINK;
 use rogs_schemas::units::m_from_iu;
+use rogs_stage1::decode::{self, MotionGates, activate_depth};
+use rogs_stage1::head::{DenseHead, FkBranch};
+use rogs_stage1::{Encoded, HeadKind, Stage1};
+use rogs_tensors::device;
+use rogs_tensors::parameters::{from_host, to_host};
 
 use crate::params::{LiftParams, RobotMotion};
 use crate::source::{RobotAtTime, Source, mesh_depth_m};
@@ -44,11 +44,11 @@ pub(crate) fn lift_base(
     images: &Tensor<4>,
     source: &Source<'_>,
     params: &LiftParams,
-) -> rogs_networks::Result<Base> {
+) -> rogs_tensors::Result<Base> {
     let [depth_head, splat_head] = [HeadKind::Depth, HeadKind::Splat].map(|kind| network.head(kind));
     let (depth_head, splat_head) = (depth_head?, splat_head?);
     let (depth_projections, splat_projections) = (depth_head.projections(None), splat_head.projections(None));
-    let frame = |index: usize| -> rogs_networks::Result<(Vec<f32>, Vec<f32>)> {
+    let frame = |index: usize| -> rogs_tensors::Result<(Vec<f32>, Vec<f32>)> {
         let one = encoded.frames_at(index, 1);
         let depth = activate_depth(depth_head.forward(&depth_projections, &one));
         let mut raw = splat_head.forward(&splat_projections, &one);
@@ -100,8 +100,8 @@ pub(crate) fn lift_base(
 fn for_every<T: Send>(
     frames: usize,
     device: &Device,
-    function: impl Fn(usize) -> rogs_networks::Result<T> + Send + Sync,
-) -> rogs_networks::Result<Vec<T>> {
+    function: impl Fn(usize) -> rogs_tensors::Result<T> + Send + Sync,
+) -> rogs_tensors::Result<Vec<T>> {
     if device::is_cpu(device) {
         (0..frames).into_par_iter().map(function).collect()
     } else {
@@ -149,7 +149,7 @@ pub(crate) struct Anchor<'a> {
 }
 
 impl MotionHeads {
-    pub(crate) fn load(network: &Stage1, views: usize) -> rogs_networks::Result<Self> {
+    pub(crate) fn load(network: &Stage1, views: usize) -> rogs_tensors::Result<Self> {
         let shortcuts = (0..views).map(|_| OnceLock::new()).collect();
         let (motion, attributes) = (network.head(HeadKind::Motion)?, network.head(HeadKind::MotionSplat)?);
         Ok(Self {
@@ -174,12 +174,12 @@ impl MotionHeads {
         options: MotionOptions,
         robot: &[Option<RobotAtTime>],
         branch: Branch,
-    ) -> rogs_networks::Result<TimeSlice> {
+    ) -> rogs_tensors::Result<TimeSlice> {
         let time_f32 = Some(time as f32);
         let (motion, attributes) = (self.motion.projections(time_f32), self.attributes.projections(time_f32));
         let [height, width] = encoded.size;
         let area = height * width;
-        let view = |index: usize| -> rogs_networks::Result<ViewSlice> {
+        let view = |index: usize| -> rogs_tensors::Result<ViewSlice> {
             let one = encoded.frames_at(index, 1);
             let visual = self.motion.forward(&motion, &one).narrow(1, 0, 3);
             let device = visual.device();
@@ -251,9 +251,9 @@ impl MotionHeads {
         &self,
         index: usize,
         one: &Encoded,
-        projections: &rogs_networks::stage1::head::Projections,
+        projections: &rogs_stage1::head::Projections,
         base: &[f32],
-    ) -> rogs_networks::Result<Vec<f32>> {
+    ) -> rogs_tensors::Result<Vec<f32>> {
         let [height, width] = one.size;
         let area = height * width;
         let mut raw = self.attributes.forward(projections, one);

@@ -3,10 +3,11 @@
 use std::path::Path;
 
 use burn::tensor::Device;
-use rogs_networks::stage1::{Stage1, Stage1Config, seeded};
-use rogs_networks::{checkpoint, device};
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::WeightsInfo;
+use rogs_stage1::open_stage1;
+use rogs_stage1::{Stage1, Stage1Config, seeded};
+use rogs_tensors::device;
 use rogs_worker::{StageError, StageResult};
 
 use crate::params::LiftParams;
@@ -55,7 +56,7 @@ pub fn load_model(params: &LiftParams, weights: Option<&Path>) -> StageResult<Mo
 }
 
 fn read(path: &Path, device: &Device) -> StageResult<Model> {
-    let loaded = checkpoint::open_stage1(path, device).map_err(stage_error)?;
+    let loaded = open_stage1(path, device).map_err(stage_error)?;
     let mut hasher = blake3::Hasher::new();
     let io = |error: std::io::Error| StageError::io(format!("{}: {error}", path.display()));
     hasher

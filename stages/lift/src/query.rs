@@ -1,10 +1,10 @@
 //! Asking a finished field for other times, without the backbone.
 
 use burn::tensor::Device;
-use rogs_networks::parameters::{from_host, to_host};
-use rogs_networks::stage1::{Encoded, Stage1};
-use rogs_networks::{Error, Result};
 use rogs_schemas::records::field::{Field, NamedArray, TimeSlice};
+use rogs_stage1::{Encoded, Stage1};
+use rogs_tensors::parameters::{from_host, to_host};
+use rogs_tensors::{Error, Result};
 
 use crate::lifting::{Anchor, Branch, MotionHeads, MotionOptions};
 use crate::source::RobotAtTime;

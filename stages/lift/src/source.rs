@@ -3,13 +3,13 @@
 use burn::tensor::{Device, Tensor};
 use glam::{DQuat, DVec3};
 use rogs_geometry::transform::{Base, Camera as CameraFrame, Link, Pose, Recon};
-use rogs_networks::parameters::from_host;
-use rogs_networks::stage1::{Attention, Camera, FramePose, SourceFrames};
 use rogs_schemas::Intrinsics;
 use rogs_schemas::records::clip::{Clip, SourceView, time_of_frame};
 use rogs_schemas::records::conditioning::{Conditioning, KAPPA_CHANNELS};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::units::UNITS_PER_METRE;
+use rogs_stage1::{Attention, Camera, FramePose, SourceFrames};
+use rogs_tensors::parameters::from_host;
 use rogs_worker::{StageError, StageResult};
 
 use crate::params::{CrossCamera, LiftParams};

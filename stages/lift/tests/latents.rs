@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use burn::tensor::Device;
 use rogs_lift::latents::{LATENTS, open_adapter};
 use rogs_lift::{ClipInputs, LiftParams, Model, TokenSource, lift_inputs, load_model};
-use rogs_networks::checkpoint::{ElementType, KIND, TensorSource, write};
-use rogs_networks::parameters::Parameters;
 use rogs_schemas::pose::{Intrinsics, RigidPose};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
+use rogs_tensors::parameters::Parameters;
+use rogs_weights::{ElementType, KIND, TensorSource, write};
 use rogs_worker::StageResult;
 
 /// Two by two tokens.

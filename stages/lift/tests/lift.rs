@@ -223,7 +223,7 @@ fn a_seeded_field_is_a_plausible_still_picture() {
             assert!((0.5..2.0).contains(&z) && field.link[pixel] == NO_LINK && field.scale_cap_iu[pixel].is_infinite());
         }
         for channel in 0..3 {
-            let color = rogs_networks::stage1::decode::color(raw[channel]);
+            let color = rogs_stage1::decode::color(raw[channel]);
             assert!(
                 (color - f32::from(rgb[3 * pixel + channel]) / 255.0).abs() < 0.12,
                 "pixel {pixel} channel {channel}"

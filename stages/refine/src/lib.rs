@@ -10,6 +10,7 @@
 //! exactly zero. Outputs and warnings say so.
 
 mod params;
+mod recurrence;
 mod refinement;
 mod resume;
 mod source_time;
@@ -30,7 +31,8 @@ use rogs_schemas::records::robot::RobotMaps;
 use rogs_worker::{Context, Stage, StageError, StageResult};
 
 pub use params::{MOST_UPDATES, RefineParams};
-pub use refinement::{ClipInputs, refine, refine_updates};
+pub use recurrence::ClipInputs;
+pub use refinement::{refine, refine_updates};
 pub use weights::{CI_WEIGHTS, LoadedRefiner, load_refiner};
 
 /// The stage.

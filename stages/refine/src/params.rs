@@ -1,8 +1,8 @@
 //! Parameters of the stage.
 
-use rogs_networks::device;
-use rogs_networks::stage2::RefinerConfig;
 use rogs_schemas::records::refinement::ScaleResidual;
+use rogs_stage2::RefinerConfig;
+use rogs_tensors::device;
 use rogs_worker::{StageError, StageResult};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -2,49 +2,19 @@
 
 use std::time::{Duration, Instant};
 
-use rogs_networks::stage2::{Correction, Plane, Refiner, TokenSet};
-use rogs_schemas::key::CacheKey;
-use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::{Field, NamedArray, RAW_CHANNELS};
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep};
-use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::units::iu_from_m;
 use rogs_splat::{
     Contributions, Eligible, Gaussians, RasterConfig, Render, TimedField, render_views_with_contributions,
 };
+use rogs_stage2::{Correction, Plane, Refiner, TokenSet};
 use rogs_worker::{StageError, StageResult};
 
+use crate::recurrence::{ClipInputs, Recurrence, state_name};
 use crate::resume::resumed;
 use crate::source_time::{SourceTime, source_times};
 use crate::{LoadedRefiner, RefineParams};
-
-/// The records of one clip.
-#[derive(Clone, Copy)]
-pub struct ClipInputs<'a> {
-    /// The clip.
-    pub clip: &'a Clip,
-    /// Its robot maps, for the camera poses.
-    pub robot: &'a RobotMaps,
-    /// The Stage-1 field.
-    pub field: &'a Field,
-    /// Key of the field's file.
-    pub field_key: CacheKey,
-    /// An earlier refinement of the same field to continue from.
-    pub resume: Option<&'a Refinement>,
-}
-
-/// The recurrent state after some updates.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Recurrence {
-    /// Updates done.
-    pub(crate) update: u32,
-    /// Accumulated correction.
-    pub(crate) correction: Correction,
-    /// Hidden state of the tokens of each source time. `[times]` of `[tokens, S]`
-    pub(crate) states: Vec<Vec<f32>>,
-    /// Corrections to keep, without the last.
-    pub(crate) steps: Vec<RefinementStep>,
-}
 
 /// Refines a field. `report` hears the fraction done and what is being done.
 ///
@@ -319,11 +289,6 @@ fn record(
         steps,
         resume_state,
     }
-}
-
-/// Name of the stored hidden state of a source time.
-pub(crate) fn state_name(frame: u32) -> String {
-    format!("state.{frame:04}")
 }
 
 /// An error about the field.

@@ -1,10 +1,10 @@
 //! Continuing from an earlier refinement.
 
-use rogs_networks::stage2::Correction;
 use rogs_schemas::records::refinement::Refinement;
+use rogs_stage2::Correction;
 use rogs_worker::{StageError, StageResult};
 
-use crate::refinement::{ClipInputs, Recurrence, state_name};
+use crate::recurrence::{ClipInputs, Recurrence, state_name};
 use crate::source_time::SourceTime;
 use crate::{LoadedRefiner, RefineParams};
 

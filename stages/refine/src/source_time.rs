@@ -1,12 +1,12 @@
 //! What the refinement knows of each source time: its views, cameras, observed images and their features.
 
-use rogs_networks::stage2::{FeatureMaps, Plane, Refiner, TokenGrid};
 use rogs_schemas::RigidPose;
 use rogs_schemas::records::clip::{Clip, time_of_frame};
 use rogs_schemas::records::field::{Field, TimeSlice};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::units::UNITS_PER_METRE;
 use rogs_splat::Camera;
+use rogs_stage2::{FeatureMaps, Plane, Refiner, TokenGrid};
 use rogs_worker::{StageError, StageResult};
 
 /// One source time of a clip.

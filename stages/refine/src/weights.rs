@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use rogs_networks::device;
-use rogs_networks::stage2::{Device, Refiner, RefinerConfig, read_weights, seeded_parameters, verify_parameters};
 use rogs_schemas::records::field::WeightsInfo;
+use rogs_stage2::{Device, Refiner, RefinerConfig, read_weights, seeded_parameters, verify_parameters};
+use rogs_tensors::device;
 use rogs_worker::{StageError, StageResult};
 
 use crate::RefineParams;
@@ -62,7 +62,7 @@ fn from_file(
     device: &Device,
 ) -> StageResult<LoadedRefiner> {
     let shown = path.display();
-    let wrong = |error: rogs_networks::Error| {
+    let wrong = |error: rogs_tensors::Error| {
         StageError::bad_input(format!("weights `{shown}`: {error}")).with_hint(format!(
             "the file must hold the Stage-2 tensors of the preset `{}`",
             config.name

@@ -3,12 +3,12 @@
 mod support;
 
 use proptest::prelude::*;
-use rogs_networks::stage2::Correction;
-use rogs_networks::stage2::weights::uniform;
 use rogs_refine::{RefineParams, refine};
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, RefinementStep, ScaleResidual};
 use rogs_splat::TimedField;
+use rogs_stage2::Correction;
+use rogs_stage2::weights::uniform;
 use support::{example, random_network};
 
 /// A number with few mantissa bits, so that sums of a few of them are exact in f32.

@@ -3,13 +3,13 @@
 mod support;
 
 use burn::tensor::Device;
-use rogs_networks::parameters::{Parameters, to_host};
-use rogs_networks::stage2::objective::ObjectiveWeights;
-use rogs_networks::stage2::weights::uniform;
-use rogs_networks::stage2::{Refiner, RefinerConfig, parameter_shapes, seeded_parameters};
 use rogs_refine::RefineParams;
 use rogs_refine::training::{AdamW, TermValues, TrainingOptions, TrainingStep, training_step};
 use rogs_schemas::records::clip::{CameraRole, DepthReference, Tracks};
+use rogs_stage2::objective::ObjectiveWeights;
+use rogs_stage2::weights::uniform;
+use rogs_stage2::{Refiner, RefinerConfig, parameter_shapes, seeded_parameters};
+use rogs_tensors::parameters::{Parameters, to_host};
 use support::{Example, example};
 
 /// Parameters on an autodiff device, with a head that is not zero.

@@ -6,12 +6,12 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
-use rogs_networks::stage2::weights::OWN_PARAMETERS;
-use rogs_networks::stage2::{Device, RefinerConfig, seeded_parameters};
 use rogs_refine::{RefineParams, load_refiner};
 use rogs_schemas::key::{KeyMaterial, Provenance};
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::{Record, read_record, write_record};
+use rogs_stage2::weights::OWN_PARAMETERS;
+use rogs_stage2::{Device, RefinerConfig, seeded_parameters};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use support::example;

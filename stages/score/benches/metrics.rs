@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::process::Command;
 use std::time::Instant;
 
-use rogs_networks::lpips::{Lpips, LpipsFeatures, LpipsWeights};
+use rogs_lpips::{Lpips, LpipsFeatures, LpipsWeights};
 use rogs_score::metrics::{Pixels, RgbView, SsimVariant, psnr, ssim};
 
 const PAIRS: usize = 48;

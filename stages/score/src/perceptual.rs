@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::SystemTime;
 
-use rogs_networks::lpips::{Lpips, LpipsFeatures};
+use rogs_lpips::{Lpips, LpipsFeatures};
 use rogs_worker::{StageError, StageResult};
 use sha2::{Digest as _, Sha256};
 
@@ -140,7 +140,7 @@ fn stamp(path: &Path) -> Stamp {
 
 #[cfg(test)]
 mod tests {
-    use rogs_networks::lpips::LpipsWeights;
+    use rogs_lpips::LpipsWeights;
 
     use super::*;
 

@@ -86,7 +86,7 @@ fn lpips_needs_weights_and_changes_nothing_else() {
     let mut with = with.unwrap_or_else(|| panic!("no scores: {event}"));
     assert_eq!(with.summary.lpips_note, None);
     let weights = &bench.inputs["lpips"];
-    let network = rogs_networks::lpips::Lpips::open(weights).unwrap();
+    let network = rogs_lpips::Lpips::open(weights).unwrap();
     let reference = network.features_of_bytes(&pattern, HEIGHT, WIDTH).unwrap();
     for (image, render) in with.summary.images.iter().zip(&with.renders) {
         // The kept render has 8 bits, the scored one has not.

@@ -2,7 +2,7 @@
 #![no_main]
 
 #[allow(dead_code, unreachable_pub)]
-#[path = "../../../pipeline/networks/src/checkpoint/header.rs"]
+#[path = "../../../pipeline/weights/src/header.rs"]
 mod header;
 
 use libfuzzer_sys::fuzz_target;

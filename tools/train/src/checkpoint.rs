@@ -15,9 +15,10 @@ use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use rogs_networks::checkpoint::{ElementType, TensorFile, TensorSource, write};
-use rogs_networks::optimiser::Moments;
-use rogs_networks::parameters::{ParameterSource, Parameters};
+use rogs_tensors::optimiser::Moments;
+use rogs_tensors::parameters::Parameters;
+use rogs_weights::ParameterSource;
+use rogs_weights::{ElementType, TensorFile, TensorSource, write};
 use serde::Serialize;
 
 use crate::error::{Error, Result};
@@ -228,7 +229,10 @@ pub fn export(
         shape: parameters.shape(&name).map(<[usize]>::to_vec).unwrap_or_default(),
         values: {
             let name = name.clone();
-            Box::new(move || parameters.host(&name))
+            Box::new(move || {
+                let unreadable = |error: rogs_tensors::Error| rogs_weights::Error::BadInput(error.to_string());
+                parameters.host(&name).map_err(unreadable)
+            })
         },
         name,
     });

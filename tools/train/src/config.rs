@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 use rogs_lift::Numbers;
-use rogs_networks::device;
-use rogs_networks::stage1::Stage1Config;
+use rogs_stage1::Stage1Config;
+use rogs_tensors::device;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};

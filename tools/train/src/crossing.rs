@@ -2,7 +2,7 @@
 //! the rasteriser and the losses of Stage 1 are those of the CPU.
 
 use burn::tensor::{Device, Gradients, Tensor};
-use rogs_networks::parameters::{from_host, to_host};
+use rogs_tensors::parameters::{from_host, to_host};
 
 use crate::error::Result;
 

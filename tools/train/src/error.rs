@@ -54,7 +54,10 @@ pub enum Error {
     },
     /// A network or checkpoint error.
     #[error(transparent)]
-    Network(#[from] rogs_networks::Error),
+    Network(#[from] rogs_tensors::Error),
+    /// A weights file cannot be used.
+    #[error(transparent)]
+    Weights(#[from] rogs_weights::Error),
     /// The generator failed.
     #[error(transparent)]
     Synth(#[from] rogs_synth::Error),

@@ -5,13 +5,13 @@ use std::process::ExitCode;
 
 use burn::tensor::Device;
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use rogs_networks::checkpoint::{ElementType, PROVENANCE};
-use rogs_networks::device;
+use rogs_tensors::device;
 use rogs_train::checkpoint::{RunFolder, export};
 use rogs_train::run::{Course, run};
 use rogs_train::{
     Error, LatentTrainer, LatentTraining, Result, Stage1Trainer, Stage1Training, Stage2Trainer, Stage2Training,
 };
+use rogs_weights::{ElementType, PROVENANCE};
 
 /// Trains the networks of rogs on procedural clips with exact references.
 #[derive(Parser)]

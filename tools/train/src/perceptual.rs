@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use burn::tensor::Device;
-use rogs_networks::lpips::{LpipsTensors, LpipsWeights};
+use rogs_lpips::{LpipsTensors, LpipsWeights};
 
 use crate::error::Result;
 

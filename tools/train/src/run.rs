@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Instant;
 
-use rogs_networks::checkpoint::ElementType;
-use rogs_networks::optimiser::Moments;
-use rogs_networks::parameters::Parameters;
+use rogs_tensors::optimiser::Moments;
+use rogs_tensors::parameters::Parameters;
+use rogs_weights::ElementType;
 use serde::Serialize;
 use serde_json::json;
 

@@ -3,13 +3,13 @@
 use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 use rogs_lift::LiftParams;
-use rogs_networks::stage1::{Camera, FramePose};
 use rogs_robot_maps::{SupportRule, valid_support};
 use rogs_schemas::records::clip::time_of_frame;
 use rogs_schemas::records::conditioning::{GripperPrior, KAPPA_CHANNELS};
 use rogs_schemas::records::robot::NO_LINK;
 use rogs_schemas::units::{UNITS_PER_METRE, iu_from_m};
 use rogs_splat::Camera as RasterCamera;
+use rogs_stage1::{Camera, FramePose};
 use rogs_synth::{Episode, FIRST_OBJECT_ID, FIRST_SCENERY_ID, View, rigid_inverse, rigid_pose};
 
 use crate::config::DataSettings;

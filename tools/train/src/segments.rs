@@ -5,8 +5,8 @@
 //! large checkpoint are read from its file for one pair at a time.
 
 use burn::tensor::Tensor;
-use rogs_networks::optimiser::{Gradients, collect};
-use rogs_networks::stage1::{SourceFrames, Stage1};
+use rogs_stage1::{SourceFrames, Stage1};
+use rogs_tensors::optimiser::{Gradients, collect};
 
 use crate::error::{Error, Result};
 
@@ -34,7 +34,7 @@ impl Segments {
             }
             tokens = global;
         }
-        let short = |_| rogs_networks::Error::BadConfiguration("fewer than four taps".into());
+        let short = |_| rogs_tensors::Error::BadConfiguration("fewer than four taps".into());
         let taps = taps.try_into().map_err(short).map_err(Error::from)?;
         Ok(Self { inputs, taps })
     }

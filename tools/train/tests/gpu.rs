@@ -17,8 +17,8 @@ use latents::workspace;
 use losses::NONE;
 use networks::seeded_network;
 use rogs_lift::Numbers;
-use rogs_networks::device;
-use rogs_networks::optimiser::Gradients;
+use rogs_tensors::device;
+use rogs_tensors::optimiser::Gradients;
 use rogs_train::config::{DataSettings, LossWeights};
 use rogs_train::run::run;
 use rogs_train::{

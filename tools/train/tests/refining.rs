@@ -40,7 +40,7 @@ fn a_resumed_run_equals_an_uninterrupted_one_and_changes_only_what_is_trained() 
     let mut trainer = Stage2Trainer::new(settings.clone(), &Device::flex()).unwrap();
     let encoder = "encoder.update_obs_proj.weight";
     let frozen: Vec<String> = (trainer.parameters().names().into_iter())
-        .filter(|name| !rogs_networks::stage2::weights::is_trained(name))
+        .filter(|name| !rogs_stage2::weights::is_trained(name))
         .collect();
     assert!(!frozen.is_empty());
     let before: Vec<_> = frozen

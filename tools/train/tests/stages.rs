@@ -2,12 +2,12 @@
 
 use burn::tensor::Device;
 use rogs_lift::{LiftParams, Model, lift_clip};
-use rogs_networks::parameters::to_host;
-use rogs_networks::stage1::{Stage1Config, seeded};
 use rogs_random::Pcg64;
 use rogs_schemas::records::clip::time_of_frame;
 use rogs_schemas::records::field::{Field, WeightsInfo};
 use rogs_schemas::units::m_from_iu;
+use rogs_stage1::{Stage1Config, seeded};
+use rogs_tensors::parameters::to_host;
 use rogs_train::config::DataSettings;
 use rogs_train::plan::ClipPlan;
 use rogs_train::run::run;

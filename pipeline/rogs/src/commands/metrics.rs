@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use rogs_networks::lpips::Lpips;
+use rogs_lpips::Lpips;
 use rogs_score::folders::{PairScores, score_paths};
 use rogs_score::metrics::{Pixels, RgbView, SsimVariant};
 

@@ -9,11 +9,10 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use rogs_networks::checkpoint::{
-    ElementType, ImportRequest, TensorFile, average, generate_stage1, import_stage1, merge_lora,
-};
-use rogs_networks::stage1::Stage1Config;
-use rogs_networks::stage2::{ReleasedImport, ReleasedModel, import_released};
+use rogs_stage1::Stage1Config;
+use rogs_stage1::{ImportRequest, generate_stage1, import_stage1, merge_lora};
+use rogs_stage2::{ReleasedImport, ReleasedModel, import_released};
+use rogs_weights::{ElementType, TensorFile, average};
 
 use crate::output;
 

@@ -1,10 +1,10 @@
 //! From gradients in the Gaussians of a scene to gradients in the corrections.
 
-use rogs_networks::stage2::Correction;
 use rogs_schemas::records::field::{Field, RAW_CHANNELS, TimeSlice};
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, ScaleResidual};
 use rogs_splat::backward::Gradients;
 use rogs_splat::{Colour, Gaussians, TimedField};
+use rogs_stage2::Correction;
 use rogs_worker::StageResult;
 
 use crate::refinement::{bad_field, step};

@@ -16,11 +16,11 @@ mod outcome;
 mod targets;
 
 use burn::tensor::{Int, Tensor, TensorData};
-use rogs_networks::parameters::{from_host, to_host};
-use rogs_networks::stage2::objective::{ObjectiveTerms, ObjectiveWeights, Perceptual};
-use rogs_networks::stage2::updater::Neighbours;
-use rogs_networks::stage2::{Correction, GateGroup, Refiner, nearest_neighbours};
 use rogs_schemas::records::refinement::RESIDUAL_CHANNELS;
+use rogs_stage2::objective::{ObjectiveTerms, ObjectiveWeights, Perceptual};
+use rogs_stage2::updater::Neighbours;
+use rogs_stage2::{Correction, GateGroup, Refiner, nearest_neighbours};
+use rogs_tensors::parameters::{from_host, to_host};
 use rogs_worker::StageResult;
 
 pub use optimiser::AdamW;
@@ -121,7 +121,7 @@ pub fn training_step(
     let mut states = Vec::with_capacity(times.len());
     for time in &times {
         let features = time.maps.iter().flat_map(|maps| {
-            rogs_networks::stage2::observation::gather_features(
+            rogs_stage2::observation::gather_features(
                 maps,
                 field.height as usize,
                 field.width as usize,

@@ -1,9 +1,9 @@
 //! Which parameters of the refiner are trained, and how fast.
 
 use burn::tensor::Tensor;
-use rogs_networks::optimiser::{self, Gradients, Moments, Rule};
-use rogs_networks::parameters::Parameters;
-use rogs_networks::stage2::weights::is_trained;
+use rogs_stage2::weights::is_trained;
+use rogs_tensors::optimiser::{self, Gradients, Moments, Rule};
+use rogs_tensors::parameters::Parameters;
 use rogs_worker::StageResult;
 
 use crate::refinement::internal;

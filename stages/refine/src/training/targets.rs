@@ -1,13 +1,13 @@
 //! What the renders of a clip are compared with: images and stereo depth of source and right cameras, robot positions from
 //! forward kinematics, tracks, and the motion that Stage 1 renders.
 
-use rogs_networks::stage2::objective::ViewSide;
 use rogs_schemas::RigidPose;
 use rogs_schemas::records::clip::{CameraRole, Clip, time_of_frame};
 use rogs_schemas::records::field::{Field, TimeSlice};
 use rogs_schemas::records::robot::{NO_LINK, RobotMaps};
 use rogs_schemas::units::{UNITS_PER_METRE, iu_from_m};
 use rogs_splat::{Camera, RasterConfig, render};
+use rogs_stage2::objective::ViewSide;
 use rogs_worker::{StageError, StageResult};
 
 use super::TrainingOptions;
@@ -15,7 +15,7 @@ use super::chain::scene_at;
 use crate::refinement::internal;
 use crate::source_time::{composed, inverse};
 use crate::{ClipInputs, RefineParams};
-use rogs_networks::stage2::Correction;
+use rogs_stage2::Correction;
 
 /// A view that is rendered and compared.
 pub(super) struct TargetView {

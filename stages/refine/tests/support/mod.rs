@@ -2,14 +2,14 @@
 
 #![allow(dead_code, reason = "every test and example uses a part of this")]
 
-use rogs_networks::stage2::weights::uniform;
-use rogs_networks::stage2::{Device, Refiner, RefinerConfig, seeded_parameters};
 use rogs_refine::{ClipInputs, LoadedRefiner};
 use rogs_schemas::key::CacheKey;
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates, SourceView, time_of_frame};
 use rogs_schemas::records::field::{Field, RAW_CHANNELS, TimeSlice, WeightsInfo};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::{Intrinsics, RigidPose};
+use rogs_stage2::weights::uniform;
+use rogs_stage2::{Device, Refiner, RefinerConfig, seeded_parameters};
 
 /// Sizes of an example clip.
 #[derive(Clone, Copy)]

@@ -6,6 +6,7 @@
 
 mod prepared;
 mod raster;
+mod seen;
 mod shade;
 mod shadow;
 mod texture;

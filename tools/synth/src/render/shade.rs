@@ -6,9 +6,9 @@ use glam::{Affine3A, DAffine3, Vec3, Vec3A};
 use rogs_schemas::Intrinsics;
 
 use super::raster::NOBODY;
+use super::seen::Seen;
 use super::shadow::LightMap;
 use super::texture::mix;
-use super::view::Seen;
 use crate::math::rigid_inverse;
 use crate::scene::{Body, Lights};
 

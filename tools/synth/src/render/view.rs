@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use rogs_schemas::Intrinsics;
 
 use super::raster::{Layer, NOBODY, Polygon};
+use super::seen::Seen;
 use super::shade::{BodyView, Sensor, Shader};
 use super::shadow::LightMap;
 use crate::math::rigid_inverse;
@@ -82,18 +83,6 @@ pub struct View {
     pub depth_m: Vec<f32>,
     /// Link, object or scenery id at pixel centres; 255 where nothing is seen. `[H, W]`
     pub id: Vec<u8>,
-}
-
-/// A triangle that may be seen: its plane in the camera's frame and where it comes from.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Seen {
-    /// n and n.a: points of the plane have n.p = d.
-    pub normal: DVec3,
-    pub distance: f64,
-    pub body: u16,
-    pub face: u32,
-    /// Body and smooth surface: samples of one surface are shaded once.
-    pub surface: u32,
 }
 
 #[derive(Default)]

@@ -9,12 +9,12 @@ use std::collections::BTreeMap;
 use burn::tensor::{Device, Tensor};
 use rogs_lift::latents::open_adapter;
 use rogs_lift::{ClipInputs, LiftParams, latent_inputs};
-use rogs_networks::checkpoint::{self, PROVENANCE};
-use rogs_networks::optimiser::{self, Gradients, Moments, Rule};
-use rogs_networks::parameters::{Parameters, to_host};
-use rogs_networks::stage1::adapter::LatentAdapter;
-use rogs_networks::stage1::{Encoded, HeadKind, SourceFrames, Stage1, distillation, layout, seeded};
 use rogs_random::Pcg64;
+use rogs_stage1::adapter::LatentAdapter;
+use rogs_stage1::{Encoded, HeadKind, SourceFrames, Stage1, distillation, layout, seeded};
+use rogs_tensors::optimiser::{self, Gradients, Moments, Rule};
+use rogs_tensors::parameters::{Parameters, to_host};
+use rogs_weights::{self, PROVENANCE};
 
 pub use self::clips::LatentClip;
 use self::clips::Place;
@@ -49,7 +49,7 @@ impl LatentTrainer {
         settings.check()?;
         check_precision(settings.precision, device)?;
         let device = device.clone().autodiff();
-        let mut network = checkpoint::open_stage1(&settings.lift, &device)?.network;
+        let mut network = rogs_stage1::open_stage1(&settings.lift, &device)?.network;
         let mut adapter = match &settings.start {
             Some(path) => started(open_adapter(path, &device)?, &network)?,
             None => from_seed(&network, &settings, &device)?,

@@ -1,11 +1,12 @@
 //! Objective and gradients of a clip with gradient checkpointing.
 
-use rogs_networks::optimiser::{Gradients, collect};
-use rogs_networks::stage1::Stage1;
 use rogs_random::Pcg64;
+use rogs_stage1::Stage1;
+use rogs_tensors::optimiser::{Gradients, collect};
 
 use super::forward::{Heads, decode, source_frames};
-use super::objective::{Losses, Objective, objective};
+use super::objective::objective;
+use super::terms::{Losses, Objective};
 use crate::error::Result;
 use crate::sample::Sample;
 use crate::segments::Segments;

@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use rogs_networks::parameters::to_host;
-use rogs_networks::render::render_views;
-use rogs_networks::stage1::Stage1;
 use rogs_schemas::units::m_from_iu;
 use rogs_splat::RasterConfig;
+use rogs_stage1::Stage1;
+use rogs_tensors::parameters::to_host;
+use rogs_tensors::render::render_views;
 
 use super::forward::{Heads, attributes, decode, gaussians, source_frames};
 use super::matching::relative_errors;

@@ -1,14 +1,14 @@
 //! One differentiable pass of the network over a clip.
 
 use burn::tensor::{Device, Tensor};
-use rogs_networks::device;
-use rogs_networks::parameters::from_host;
-use rogs_networks::render::{ColourTensor, GaussianTensors};
-use rogs_networks::stage1::decode::{DEPTH_RANGE_IU, MotionGates, activate_attributes, gate_attributes};
-use rogs_networks::stage1::sweep::Found;
-use rogs_networks::stage1::{Attention, Encoded, HeadKind, SourceFrames, Stage1};
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 use rogs_schemas::units::UNITS_PER_METRE;
+use rogs_stage1::decode::{DEPTH_RANGE_IU, MotionGates, activate_attributes, gate_attributes};
+use rogs_stage1::sweep::Found;
+use rogs_stage1::{Attention, Encoded, HeadKind, SourceFrames, Stage1};
+use rogs_tensors::device;
+use rogs_tensors::parameters::from_host;
+use rogs_tensors::render::{ColourTensor, GaussianTensors};
 
 use crate::crossing::Crossing;
 use crate::error::Result;
@@ -235,7 +235,7 @@ fn rays(sample: &Sample) -> (Vec<f32>, Vec<f32>) {
     let mut rays = vec![0.0; sample.cameras.len() * 3 * area];
     let mut origins = Vec::new();
     for (camera, rays) in sample.cameras.iter().zip(rays.chunks_exact_mut(3 * area)) {
-        let at_origin = rogs_networks::stage1::Camera {
+        let at_origin = rogs_stage1::Camera {
             translation_iu: [0.0; 3],
             ..*camera
         };

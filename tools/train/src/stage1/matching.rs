@@ -2,12 +2,12 @@
 //! moment sees too, by similarity alone.
 
 use burn::tensor::Tensor;
-use rogs_networks::parameters::{from_host, to_host};
-use rogs_networks::stage1::sweep::{CELL_PIXELS, place};
 use rogs_schemas::units::UNITS_PER_METRE;
+use rogs_stage1::sweep::{CELL_PIXELS, place};
+use rogs_tensors::parameters::{from_host, to_host};
 
 use super::forward::Swept;
-use super::objective::{EPSILON, Sum};
+use super::terms::{EPSILON, Sum};
 use crate::config::LossWeights;
 use crate::error::Result;
 use crate::sample::Sample;
@@ -122,7 +122,7 @@ fn seen_elsewhere(sample: &Sample, view: usize, point_iu: [f64; 3]) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use rogs_networks::stage1::{Camera, FramePose};
+    use rogs_stage1::{Camera, FramePose};
 
     use super::*;
 

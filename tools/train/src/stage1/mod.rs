@@ -7,18 +7,20 @@ mod matching;
 pub mod objective;
 mod renders;
 pub mod start;
+pub mod terms;
 
 use std::collections::BTreeMap;
 
 use burn::tensor::Device;
 use rayon::prelude::*;
-use rogs_networks::checkpoint::{PROCEDURAL, TRAINING_DOMAIN, stage1_metadata};
-use rogs_networks::device;
-use rogs_networks::lpips::LpipsTensors;
-use rogs_networks::optimiser::{self, Gradients, Moments, Rule, schedule};
-use rogs_networks::parameters::Parameters;
-use rogs_networks::stage1::Stage1;
+use rogs_lpips::LpipsTensors;
 use rogs_random::Pcg64;
+use rogs_stage1::Stage1;
+use rogs_stage1::stage1_metadata;
+use rogs_tensors::device;
+use rogs_tensors::optimiser::{self, Gradients, Moments, Rule, schedule};
+use rogs_tensors::parameters::Parameters;
+use rogs_weights::{PROCEDURAL, TRAINING_DOMAIN};
 
 use crate::checkpoint::State;
 use crate::config::{Stage1Training, check_precision};
@@ -29,7 +31,8 @@ use crate::sample::Sample;
 use crate::stream::{Batch, Stream, batches};
 use evaluate::evaluate;
 use forward::{Heads, Swept, lift, source_frames};
-use objective::{Losses, Objective, objective, of_sweep};
+use objective::{objective, of_sweep};
+use terms::{Losses, Objective};
 
 /// A run between two updates.
 pub struct Stage1Trainer {

@@ -1,17 +1,15 @@
 //! The losses of Stage 1 (`docs/spec/stage1.md` section 14): those of the network's outputs here, those of renders beside.
 
-use std::collections::BTreeMap;
-
 use burn::tensor::{Device, Int, Tensor, TensorData};
-use rogs_networks::device;
-use rogs_networks::lpips::LpipsTensors;
-use rogs_networks::parameters::{from_host, to_host};
-use rogs_networks::stage1::losses;
 use rogs_random::Pcg64;
+use rogs_stage1::losses;
+use rogs_tensors::device;
+use rogs_tensors::parameters::from_host;
 
 use super::forward::{Lifted, Swept};
 use super::matching;
 use super::renders;
+use super::terms::{EPSILON, Losses, Objective, Sum};
 use crate::config::LossWeights;
 use crate::crossing::Crossing;
 use crate::error::Result;
@@ -21,28 +19,6 @@ use crate::sample::Sample;
 const TRACKS: usize = 1000;
 /// Of these, the share that starts on robot and objects when there are enough of them.
 const MOVING_SHARE: f64 = 0.75;
-/// Keeps a mean over nothing finite.
-pub(super) const EPSILON: f64 = 1e-6;
-
-/// The objective of a clip.
-pub struct Objective {
-    /// Value of each term before its weight, by key.
-    pub terms: BTreeMap<&'static str, f64>,
-    /// The weighted sum.
-    pub value: f64,
-    /// A tensor with its gradients with respect to the outputs, on their device. `[1]`
-    pub loss: Tensor<1>,
-}
-
-/// What a clip is judged by.
-#[derive(Clone, Copy)]
-pub struct Losses<'a> {
-    /// Weight of each term.
-    pub weights: &'a LossWeights,
-    /// The network of `movies_lpips`, on the CPU; that term is left out without it.
-    pub perceptual: Option<&'a LpipsTensors>,
-}
-
 /// Pixels that tracks start on: row-major indices into `[S, A]`.
 fn track_pixels(sample: &Sample, random: &mut Pcg64) -> Vec<i32> {
     let pixels = |wanted: bool| -> Vec<i32> {
@@ -158,36 +134,9 @@ fn of_outputs(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &mut
 pub fn of_sweep(sample: &Sample, found: Option<&Swept>, weights: &LossWeights) -> Result<Objective> {
     let found = found.ok_or_else(|| {
         let seed = sample.seed;
-        rogs_networks::Error::BadInput(format!("no two cameras of the clip of seed {seed} see the same moment"))
+        rogs_tensors::Error::BadInput(format!("no two cameras of the clip of seed {seed} see the same moment"))
     })?;
     let mut sum = Sum::new(&found.depths.device());
     matching::add_terms(&mut sum, sample, found, weights)?;
     Ok(sum.objective)
-}
-
-/// A weighted sum of differentiable terms.
-pub(super) struct Sum {
-    objective: Objective,
-}
-
-impl Sum {
-    fn new(device: &Device) -> Self {
-        Self {
-            objective: Objective {
-                terms: BTreeMap::new(),
-                value: 0.0,
-                loss: Tensor::zeros([1], device),
-            },
-        }
-    }
-
-    /// Adds `share` of a term (of one of several queries, say).
-    pub(super) fn add(&mut self, key: &'static str, weight: f64, share: f64, term: Tensor<1>) -> Result<()> {
-        let sum = &mut self.objective;
-        let value = share * f64::from(to_host(term.clone())?.first().copied().unwrap_or(f32::NAN));
-        *sum.terms.entry(key).or_insert(0.0) += value;
-        sum.value += weight * value;
-        sum.loss = sum.loss.clone() + term * (weight * share);
-        Ok(())
-    }
 }

@@ -1,13 +1,13 @@
-//! Losses of rendered views and of composited motion, through [`rogs_networks::render`].
+//! Losses of rendered views and of composited motion, through [`rogs_tensors::render`].
 
 use burn::tensor::{Bool, Tensor};
-use rogs_networks::parameters::from_host;
-use rogs_networks::render::render_views;
 use rogs_schemas::units::m_from_iu;
 use rogs_splat::{Camera, RasterConfig};
+use rogs_tensors::parameters::from_host;
+use rogs_tensors::render::render_views;
 
 use super::forward::{Lifted, LiftedQuery, attributes, gaussians};
-use super::objective::{EPSILON, Losses, Sum};
+use super::terms::{EPSILON, Losses, Sum};
 use crate::config::LossWeights;
 use crate::error::Result;
 use crate::sample::{Query, Sample, Target};

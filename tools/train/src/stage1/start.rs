@@ -1,9 +1,9 @@
 //! The parameters training starts from, and which of them it changes how fast.
 
 use burn::tensor::Device;
-use rogs_networks::checkpoint;
-use rogs_networks::parameters::Parameters;
-use rogs_networks::stage1::{Stage1, Stage1Config, layout, seeded};
+
+use rogs_stage1::{Stage1, Stage1Config, layout, seeded};
+use rogs_tensors::parameters::Parameters;
 
 use crate::config::{OptimiserSettings, Stage1Training};
 use crate::error::Result;
@@ -28,7 +28,7 @@ pub fn start(settings: &Stage1Training, device: &Device) -> Result<Start> {
     let config = Stage1Config::by_name(&settings.configuration)?;
     let (mut network, procedural_only) = match &settings.start {
         Some(path) => {
-            let loaded = checkpoint::open_stage1(path, device)?;
+            let loaded = rogs_stage1::open_stage1(path, device)?;
             (loaded.network, loaded.procedural_only || !loaded.trained)
         }
         None => (from_seed(&config, settings.seed, device)?, true),

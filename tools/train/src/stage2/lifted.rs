@@ -4,10 +4,10 @@ use std::path::Path;
 
 use burn::tensor::Device;
 use rogs_lift::{LiftParams, load_model};
-use rogs_networks::device;
 use rogs_refine::ClipInputs;
 use rogs_schemas::key::CacheKey;
 use rogs_schemas::records::field::Field;
+use rogs_tensors::device;
 
 use crate::config::DataSettings;
 use crate::error::Result;

@@ -8,15 +8,15 @@ mod views;
 use std::collections::BTreeMap;
 
 use burn::tensor::{Device, Tensor};
-use rogs_networks::lpips::LpipsTensors;
-use rogs_networks::optimiser::{self, Moments, schedule};
-use rogs_networks::parameters::Parameters;
-use rogs_networks::stage2::objective::{Perceptual, RenderedView};
-use rogs_networks::stage2::{Refiner, RefinerConfig, read_weights, seeded_parameters, verify_parameters};
+use rogs_lpips::LpipsTensors;
 use rogs_random::Pcg64;
 use rogs_refine::training::{AdamW, TermValues, TrainingOptions, training_step};
 use rogs_refine::{LoadedRefiner, RefineParams, refine};
 use rogs_schemas::records::field::WeightsInfo;
+use rogs_stage2::objective::{Perceptual, RenderedView};
+use rogs_stage2::{Refiner, RefinerConfig, read_weights, seeded_parameters, verify_parameters};
+use rogs_tensors::optimiser::{self, Moments, schedule};
+use rogs_tensors::parameters::Parameters;
 
 pub use self::lifted::LiftedClip;
 use self::lifted::Lifter;
@@ -272,6 +272,6 @@ impl Course for Stage2Trainer {
             self.settings.preset,
             self.step()
         );
-        BTreeMap::from([(rogs_networks::checkpoint::PROVENANCE.to_owned(), provenance)])
+        BTreeMap::from([(rogs_weights::PROVENANCE.to_owned(), provenance)])
     }
 }

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use rogs_lift::Numbers;
-use rogs_networks::stage2::RefinerConfig;
-use rogs_networks::stage2::objective::ObjectiveWeights;
+use rogs_stage2::RefinerConfig;
+use rogs_stage2::objective::ObjectiveWeights;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{self, DataSettings};

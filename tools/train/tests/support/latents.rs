@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use rogs_lift::latents::LATENTS;
-use rogs_networks::checkpoint::{ElementType, KIND, TensorSource, write};
 use rogs_schemas::key::{KeyMaterial, Provenance};
 use rogs_schemas::record::{Record, write_record};
 use rogs_schemas::records::clip::Clip;
@@ -14,6 +13,7 @@ use rogs_train::config::DataSettings;
 use rogs_train::latent::LatentLosses;
 use rogs_train::plan::ClipPlan;
 use rogs_train::records::Records;
+use rogs_weights::{ElementType, KIND, TensorSource, write};
 
 const SIZE: [usize; 2] = [28, 42];
 /// Side of the image cell of a latent: that of a token.

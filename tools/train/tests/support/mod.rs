@@ -1,6 +1,6 @@
 //! Comparison of gradients.
 
-use rogs_networks::optimiser::Gradients;
+use rogs_tensors::optimiser::Gradients;
 use rogs_train::Course;
 
 /// The first moments after one update: a constant times the gradient.

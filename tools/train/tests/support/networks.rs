@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
-use rogs_networks::checkpoint::{ElementType, TensorSource, stage1_metadata, write};
-use rogs_networks::stage1::{Stage1Config, seeded};
+use rogs_stage1::stage1_metadata;
+use rogs_stage1::{Stage1Config, seeded};
+use rogs_weights::{ElementType, TensorSource, write};
 
 /// Size of the values that stand where a seeded network has zeros.
 const HEARD: f32 = 0.01;

@@ -5,13 +5,13 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::{Context as _, bail};
-use rogs_networks::checkpoint::{
-    CONFIGURATION, KIND, Origin, Renamed, STAGE1, TensorFile, Verification, open_any, verify_stage1,
-};
-use rogs_networks::lpips::LpipsWeights;
-use rogs_networks::parameters::ParameterSource;
-use rogs_networks::stage1::Stage1Config;
-use rogs_networks::stage2::{RefinerConfig, ReleasedModel, parameter_shapes, verify_released};
+use rogs_lpips::LpipsWeights;
+use rogs_stage1::Stage1Config;
+use rogs_stage1::import::ours;
+use rogs_stage1::{Origin, STAGE1, verify_stage1};
+use rogs_stage2::{RefinerConfig, ReleasedModel, parameter_shapes, verify_released};
+use rogs_weights::ParameterSource;
+use rogs_weights::{CONFIGURATION, KIND, TensorFile, Verification, open_any};
 
 use super::download::{Expected, hash};
 use crate::output;
@@ -91,7 +91,7 @@ impl Network {
             Self::Stage1(config) => verify_stage1(source, config),
             Self::Released(model) => verify_released(source, *model),
             Self::Refiner(config) => {
-                let mut report = rogs_networks::checkpoint::verify(source, &parameter_shapes(config));
+                let mut report = rogs_weights::verify(source, &parameter_shapes(config));
                 report.unexpected.retain(|name| !name.ends_with(".num_batches_tracked"));
                 report
             }
@@ -120,7 +120,7 @@ pub(super) fn run(
     } else {
         BTreeMap::new()
     };
-    let source = Renamed::new(open_any(file).with_context(opening)?);
+    let (source, origin) = ours(open_any(file).with_context(opening)?);
     let network = match configuration {
         Some(name) => Some(Network::by_name(name)?),
         None => Network::of(&source, &metadata)?,
@@ -153,7 +153,7 @@ pub(super) fn run(
         }
     }
     let mut summary = weights_report(&found, hash_is_right);
-    if source.origin() == Origin::Vggt {
+    if origin == Origin::Vggt {
         summary.note = Some("a VGGT file: what is missing starts from a seed at import".into());
     }
     finish(json, &network.describe(), &summary, &report, &broken)
@@ -224,7 +224,7 @@ fn finish(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rogs_networks::checkpoint::{ElementType, TensorSource, write};
+    use rogs_weights::{ElementType, TensorSource, write};
 
     fn stage2(path: &Path, change: impl Fn(&str, &mut Vec<f32>)) {
         let tensors = parameter_shapes(&RefinerConfig::preset("ci").unwrap())

@@ -1,0 +1,258 @@
+//! Blocked softmax attention on packed queries, keys and values.
+//!
+//! Scores of some query rows against all keys are one matrix product, their softmax runs in place, and a second product
+//! with the values writes the output; nothing of size tokens x tokens is ever held.
+
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
+
+use super::pointwise::exp;
+use super::product::{PackedWeight, Precision};
+use crate::vectorised;
+
+/// Query rows of a task: their scores against some thousand keys should fit the second-level cache.
+const ROWS: usize = 60;
+
+/// Affine map and epsilon of the norm of queries or keys. `[head size]` each
+pub struct HeadNorm<'a> {
+    /// `[head size]`
+    pub weight: &'a [f32],
+    /// `[head size]`
+    pub bias: &'a [f32],
+    /// Added to the variance.
+    pub epsilon: f32,
+}
+
+/// Attention of a batch of token lists.
+pub struct PackedAttention<'a> {
+    /// Queries, keys, values of all heads. `[B, T, 3, heads, head size]`
+    pub packed: &'a [f32],
+    /// Bias of the packed projection, not yet added. `[3, heads, head size]`
+    pub bias: &'a [f32],
+    /// Tokens of a list.
+    pub tokens: usize,
+    /// Heads.
+    pub heads: usize,
+    /// Channels of a head.
+    pub size: usize,
+    /// Norms of queries and keys.
+    pub norms: Option<[HeadNorm<'a>; 2]>,
+    /// Rotary cosines and signed sines, `[period, head size]` each, where the positions repeat after `period` tokens.
+    pub rotary: Option<[&'a [f32]; 2]>,
+    /// Numbers of the products.
+    pub precision: Precision,
+}
+
+impl PackedAttention<'_> {
+    /// softmax(q k^T / sqrt(size)) v. `[B, T, heads * size]`
+    pub fn run(&self) -> Vec<f32> {
+        let Self {
+            packed,
+            tokens,
+            heads,
+            size,
+            ..
+        } = *self;
+        let width = heads * size;
+        let mut output = vec![0.0f32; packed.len() / 3];
+        output
+            .par_chunks_mut(tokens * width)
+            .zip(packed.par_chunks(tokens * 3 * width))
+            .for_each(|(output, packed)| {
+                let queries = self.prepare(packed, 0, 1.0 / (size as f32).sqrt());
+                let keys = self.prepare(packed, 1, 1.0);
+                let sides: Vec<[PackedWeight; 2]> = (0..heads)
+                    .into_par_iter()
+                    .map(|head| {
+                        let keys = &keys[head * tokens * size..][..tokens * size];
+                        let values = &packed[2 * width + head * size..];
+                        [
+                            PackedWeight::new(keys, size, self.precision),
+                            PackedWeight::strided(values, [size, tokens], [1, 3 * width], self.precision),
+                        ]
+                    })
+                    .collect();
+                output
+                    .par_chunks_mut(ROWS * width)
+                    .enumerate()
+                    .for_each_init(Vec::new, |scores, (block, output)| {
+                        let rows = output.len() / width;
+                        for (head, sides) in sides.iter().enumerate() {
+                            let first = (head * tokens + block * ROWS) * size;
+                            let bias = &self.bias[2 * width + head * size..][..size];
+                            let output = &mut output[head * size..];
+                            attend(&queries[first..first + rows * size], sides, bias, output, width, scores);
+                        }
+                    });
+            });
+        output
+    }
+
+    /// Normalised, rotated and scaled queries (part 0) or keys (part 1). `[heads, T, size]`
+    fn prepare(&self, packed: &[f32], part: usize, scale: f32) -> Vec<f32> {
+        let Self {
+            tokens, heads, size, ..
+        } = *self;
+        let width = heads * size;
+        let mut result = vec![0.0f32; heads * tokens * size];
+        result
+            .par_chunks_mut(tokens * size)
+            .enumerate()
+            .for_each(|(head, result)| {
+                vectorised(
+                    #[inline(always)]
+                    || {
+                        for (token, out) in result.chunks_exact_mut(size).enumerate() {
+                            let first = part * width + head * size;
+                            let values = packed[token * 3 * width + first..].iter().zip(&self.bias[first..]);
+                            out.iter_mut()
+                                .zip(values)
+                                .for_each(|(out, (value, bias))| *out = value + bias);
+                            if let Some(norms) = &self.norms {
+                                normalise(out, &norms[part]);
+                            }
+                            if let Some([cosine, sine]) = self.rotary {
+                                let place = (token * size) % cosine.len();
+                                rotate(out, &cosine[place..place + size], &sine[place..place + size]);
+                            }
+                            out.iter_mut().for_each(|value| *value *= scale);
+                        }
+                    },
+                );
+            });
+        result
+    }
+}
+
+/// One head of one block of query rows; rows of `output` are `stride` apart. `scores` is memory to be used again.
+fn attend(
+    queries: &[f32],
+    [keys, values]: &[PackedWeight; 2],
+    bias: &[f32],
+    output: &mut [f32],
+    stride: usize,
+    scores: &mut Vec<f32>,
+) {
+    let (rows, tokens) = (queries.len() / bias.len(), keys.outputs());
+    scores.resize(rows * tokens, 0.0);
+    keys.rows(queries, scores, tokens, |_, _, _| {});
+    let mut inverses = [0.0f32; ROWS];
+    for (row, inverse) in scores.chunks_exact_mut(tokens).zip(&mut inverses) {
+        *inverse = 1.0 / Arch::new().dispatch(Exponentials(row));
+    }
+    values.rows(
+        scores,
+        output,
+        stride,
+        // The weights of a row sum to one, so the bias of the values adds to their mean.
+        #[inline(always)]
+        |row, column, values| {
+            for (value, bias) in values.iter_mut().zip(&bias[column..]) {
+                *value = value.mul_add(inverses[row], *bias);
+            }
+        },
+    );
+}
+
+/// Replaces the scores of a row by e^(score - largest) and returns their sum.
+struct Exponentials<'a>(&'a mut [f32]);
+
+impl WithSimd for Exponentials<'_> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f32 {
+        let (vectors, rest) = S::as_simd_f32s(self.0);
+        let mut largest = simd.splat_f32s(f32::NEG_INFINITY);
+        for &vector in vectors {
+            largest = simd.max_f32s(largest, vector);
+        }
+        let largest = rest.iter().fold(simd.reduce_max_f32s(largest), |a, &b| a.max(b));
+        for value in self.0.iter_mut() {
+            *value = exp(*value - largest);
+        }
+        let (vectors, rest) = S::as_simd_f32s(self.0);
+        let mut sum = simd.splat_f32s(0.0);
+        for &vector in vectors {
+            sum = simd.add_f32s(sum, vector);
+        }
+        rest.iter().fold(simd.reduce_sum_f32s(sum), |a, &b| a + b)
+    }
+}
+
+#[inline(always)]
+fn normalise(values: &mut [f32], norm: &HeadNorm<'_>) {
+    let count = values.len() as f32;
+    let mean = values.iter().sum::<f32>() / count;
+    let variance = values.iter().map(|value| (value - mean) * (value - mean)).sum::<f32>() / count;
+    let inverse = 1.0 / (variance + norm.epsilon).sqrt();
+    for ((value, weight), bias) in values.iter_mut().zip(norm.weight).zip(norm.bias) {
+        *value = ((*value - mean) * inverse).mul_add(*weight, *bias);
+    }
+}
+
+/// The rotary embedding; sines of the first quarter of each half carry the minus sign.
+#[inline(always)]
+fn rotate(values: &mut [f32], cosine: &[f32], sine: &[f32]) {
+    let quarter = values.len() / 4;
+    let halves = values
+        .chunks_exact_mut(2 * quarter)
+        .zip(cosine.chunks_exact(2 * quarter))
+        .zip(sine.chunks_exact(2 * quarter));
+    for ((values, cosine), sine) in halves {
+        let (first, second) = values.split_at_mut(quarter);
+        for index in 0..quarter {
+            let (a, b) = (first[index], second[index]);
+            first[index] = a.mul_add(cosine[index], b * sine[index]);
+            second[index] = b.mul_add(cosine[quarter + index], a * sine[quarter + index]);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equals_the_definition_over_several_blocks() {
+        let (lists, tokens, heads, size) = (2, 300, 2, 8);
+        let width = heads * size;
+        let packed: Vec<f32> = (0..lists * tokens * 3 * width)
+            .map(|k| ((k * 7919) % 1009) as f32 / 250.0 - 2.0)
+            .collect();
+        let bias: Vec<f32> = (0..3 * width).map(|k| (k % 7) as f32 / 7.0 - 0.5).collect();
+        let found = PackedAttention {
+            packed: &packed,
+            bias: &bias,
+            tokens,
+            heads,
+            size,
+            norms: None,
+            rotary: None,
+            precision: Precision::F32,
+        }
+        .run();
+        let at = |list: usize, token: usize, part: usize, head: usize, channel: usize| {
+            let place = head * size + channel;
+            f64::from(packed[((list * tokens + token) * 3 + part) * width + place] + bias[part * width + place])
+        };
+        for (list, token, head) in [(0, 0, 0), (0, 299, 1), (1, 59, 0), (1, 60, 1)] {
+            let score = |key: usize| {
+                (0..size)
+                    .map(|c| at(list, token, 0, head, c) * at(list, key, 1, head, c))
+                    .sum::<f64>()
+                    / (size as f64).sqrt()
+            };
+            let weights: Vec<f64> = (0..tokens).map(|key| score(key).exp()).collect();
+            let total: f64 = weights.iter().sum();
+            for channel in 0..size {
+                let expected = (0..tokens)
+                    .map(|key| weights[key] * at(list, key, 2, head, channel))
+                    .sum::<f64>()
+                    / total;
+                let value = f64::from(found[(list * tokens + token) * width + head * size + channel]);
+                assert!((value - expected).abs() < 1e-5, "{value} {expected}");
+            }
+        }
+    }
+}

@@ -1,0 +1,226 @@
+//! Tiles of bfloat16 pairs with f32 sums.
+//!
+//! A sum takes the products of a pair one after the other, the second first, each with one rounding. That is what the
+//! processor's instruction does, so processors without it give the same bits from the portable code, only slower; except
+//! below 1.2e-38, which the instruction takes for zero.
+
+use super::product::{COLUMNS, DEPTH, Tile};
+use crate::vectorised;
+
+/// Two numbers rounded to bfloat16 (to nearest, ties to even), the first in the lower half.
+#[inline(always)]
+pub(crate) fn pair(first: f32, second: f32) -> u32 {
+    rounded(first) | rounded(second) << 16
+}
+
+/// The bits of a number rounded to bfloat16.
+#[inline(always)]
+pub(crate) fn rounded(value: f32) -> u32 {
+    let bits = value.to_bits();
+    // A NaN stays one; only its bits can wrap here.
+    let nearest = bits.wrapping_add(0x7fff + ((bits >> 16) & 1)) >> 16;
+    if value.is_nan() { (bits >> 16) | 0x40 } else { nearest }
+}
+
+/// Rounds a row; where its length is odd the last pair ends with zero.
+pub(crate) fn pack(row: &[f32], out: &mut [u32]) {
+    vectorised(
+        #[inline(always)]
+        || {
+            let pairs = row.chunks_exact(2);
+            if let [last] = pairs.remainder() {
+                out[row.len() / 2] = pair(*last, 0.0);
+            }
+            for (out, values) in out.iter_mut().zip(pairs) {
+                *out = pair(values[0], values[1]);
+            }
+        },
+    );
+}
+
+/// Rounds two rows that are one behind the other, place by place.
+pub(crate) fn pack_two(first: &[f32], second: &[f32], out: &mut [u32]) {
+    vectorised(
+        #[inline(always)]
+        || {
+            for ((out, a), b) in out.iter_mut().zip(first).zip(second) {
+                *out = pair(*a, *b);
+            }
+        },
+    );
+}
+
+/// Whether this processor has the instruction that [`tile`] and its like are made of.
+#[cfg(target_arch = "x86_64")]
+pub(crate) fn is_available() -> bool {
+    std::arch::is_x86_feature_detected!("avx512bf16") && std::arch::is_x86_feature_detected!("avx512f")
+}
+
+/// The bits of pairs as the instruction takes them.
+#[cfg(target_arch = "x86_64")]
+#[allow(unsafe_code)]
+#[inline(always)]
+pub(crate) fn as_pairs(bits: std::arch::x86_64::__m512i) -> std::arch::x86_64::__m512bh {
+    // SAFETY: both types are 64 bytes of which any are valid.
+    unsafe { std::mem::transmute(bits) }
+}
+
+/// The two numbers of a pair.
+#[inline(always)]
+fn halves(pair: u32) -> [f32; 2] {
+    [f32::from_bits(pair << 16), f32::from_bits(pair & 0xffff_0000)]
+}
+
+/// Adds the products of one pair with many, as the instruction does.
+#[inline(always)]
+pub(crate) fn multiply_add(pair: u32, pairs: &[u32], sums: &mut [f32]) {
+    let [first, second] = halves(pair);
+    for (sum, &other) in sums.iter_mut().zip(pairs) {
+        let [low, high] = halves(other);
+        *sum = first.mul_add(low, second.mul_add(high, *sum));
+    }
+}
+
+/// Adds the products of pairs of numbers, place by place, as the instruction does. `[2 L], [2 L], [L]`
+#[inline(always)]
+pub(crate) fn multiply_add_each(first: &[u16], second: &[u16], sums: &mut [f32]) {
+    let number = |bits: u16| f32::from_bits(u32::from(bits) << 16);
+    for (sum, (a, b)) in sums.iter_mut().zip(first.chunks_exact(2).zip(second.chunks_exact(2))) {
+        *sum = number(a[0]).mul_add(number(b[0]), number(a[1]).mul_add(number(b[1]), *sum));
+    }
+}
+
+/// Adds the products of one tile: `values [ROWS][DEPTH]`, `weights [pairs][COLUMNS]`.
+pub(crate) fn tile(values: &[u32], weights: &[u32], sums: &mut Tile) {
+    #[cfg(target_arch = "x86_64")]
+    if is_available() {
+        x86::tile(values, weights, sums);
+        return;
+    }
+    portable_tile(values, weights, sums);
+}
+
+/// The same in code for any processor.
+fn portable_tile(values: &[u32], weights: &[u32], sums: &mut Tile) {
+    vectorised(
+        #[inline(always)]
+        || {
+            for (pair, weights) in weights.chunks_exact(COLUMNS).enumerate() {
+                for (row, sums) in sums.iter_mut().enumerate() {
+                    multiply_add(values[row * DEPTH + pair], weights, sums);
+                }
+            }
+        },
+    );
+}
+
+/// The tile by the instruction `vdpbf16ps` (AVX512_BF16), which compilers do not find by themselves.
+#[cfg(target_arch = "x86_64")]
+#[allow(unsafe_code)]
+mod x86 {
+    use std::arch::x86_64::{
+        _mm512_dpbf16_ps, _mm512_loadu_ps, _mm512_loadu_si512, _mm512_set1_epi32, _mm512_setzero_ps, _mm512_storeu_ps,
+    };
+
+    use super::{COLUMNS, DEPTH, Tile, as_pairs, is_available};
+    use crate::product::{ROWS, for_rows};
+
+    /// Adds the products of one tile; only where [`is_available`].
+    pub(crate) fn tile(values: &[u32], weights: &[u32], sums: &mut Tile) {
+        assert!(is_available() && values.len() >= ROWS * DEPTH && weights.len() <= DEPTH * COLUMNS);
+        // SAFETY: the features are there and the slices are long enough (asserted above).
+        unsafe { fill(values, weights, sums) };
+    }
+
+    /// # Safety
+    /// `values` holds `ROWS * DEPTH` pairs, `weights` at most `DEPTH` times `COLUMNS`.
+    #[target_feature(enable = "avx512f,avx512bf16")]
+    unsafe fn fill(values: &[u32], weights: &[u32], sums: &mut Tile) {
+        let mut total = [[_mm512_setzero_ps(); 2]; ROWS];
+        for_rows!(|ROW| {
+            // SAFETY: a row of the tile holds two vectors of sixteen sums.
+            unsafe {
+                let row = sums[ROW].as_ptr();
+                total[ROW] = [_mm512_loadu_ps(row), _mm512_loadu_ps(row.add(COLUMNS / 2))];
+            }
+        });
+        for (pair, weights) in weights.chunks_exact(COLUMNS).enumerate() {
+            // SAFETY: a chunk holds two vectors of sixteen pairs.
+            let [low, high] = unsafe {
+                [
+                    _mm512_loadu_si512(weights.as_ptr().cast()),
+                    _mm512_loadu_si512(weights.as_ptr().add(COLUMNS / 2).cast()),
+                ]
+            };
+            let [low, high] = [as_pairs(low), as_pairs(high)];
+            for_rows!(|ROW| {
+                // SAFETY: `pair < DEPTH`, as `weights` has at most so many chunks, and `values` holds all rows.
+                let value = unsafe { *values.get_unchecked(ROW * DEPTH + pair) };
+                let value = as_pairs(_mm512_set1_epi32(value.cast_signed()));
+                total[ROW][0] = _mm512_dpbf16_ps(total[ROW][0], value, low);
+                total[ROW][1] = _mm512_dpbf16_ps(total[ROW][1], value, high);
+            });
+        }
+        for_rows!(|ROW| {
+            // SAFETY: as above.
+            unsafe {
+                let row = sums[ROW].as_mut_ptr();
+                _mm512_storeu_ps(row, total[ROW][0]);
+                _mm512_storeu_ps(row.add(COLUMNS / 2), total[ROW][1]);
+            }
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::product::ROWS;
+    use super::super::product::tests::noise;
+    use super::*;
+
+    #[test]
+    fn rounding_is_to_nearest_and_ties_to_even() {
+        let known = [
+            0.0f32,
+            1.0,
+            -2.5,
+            1.003_906_3,
+            1.011_718_8,
+            3.0e38,
+            1e-39,
+            f32::INFINITY,
+        ];
+        for value in known.into_iter().chain(noise(5000, 3)) {
+            let expected = u32::from(half::bf16::from_f32(value).to_bits());
+            assert_eq!(rounded(value), expected, "{value}");
+        }
+        for nan in [
+            f32::NAN,
+            -f32::NAN,
+            f32::from_bits(u32::MAX),
+            f32::from_bits(0x7f80_0001),
+        ] {
+            assert!(f32::from_bits(rounded(nan) << 16).is_nan());
+        }
+    }
+
+    #[test]
+    fn the_instruction_and_the_portable_code_give_the_same_bits() {
+        let pairs = |count: usize, seed| {
+            let values = noise(2 * count, seed);
+            values
+                .chunks_exact(2)
+                .map(|two| pair(two[0], two[1]))
+                .collect::<Vec<u32>>()
+        };
+        let (values, weights) = (pairs(ROWS * DEPTH, 5), pairs(DEPTH * COLUMNS, 6));
+        let mut found = [[0.5; COLUMNS]; ROWS];
+        let mut expected = found;
+        tile(&values, &weights, &mut found);
+        portable_tile(&values, &weights, &mut expected);
+        assert_eq!(
+            found.map(|row| row.map(f32::to_bits)),
+            expected.map(|row| row.map(f32::to_bits))
+        );
+    }
+}

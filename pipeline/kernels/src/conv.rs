@@ -1,0 +1,385 @@
+//! 3x3 convolution with stride 1 and padding 1, as direct sums over register tiles.
+//!
+//! A task computes a band of output rows. Its input rows lie in a zero-padded buffer that stays in the second-level cache;
+//! a tile of 8 output channels by up to 3 vectors is summed over all inputs without leaving the registers.
+
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
+
+use super::conv_pairs;
+use super::product::Precision;
+
+/// Output channels of a register tile.
+pub(crate) const TILE: usize = 8;
+/// Zero columns left of the image in a band buffer.
+const LEFT: usize = 1;
+/// Widest vector of any instruction set, for sizing buffers.
+const MAX_LANES: usize = 16;
+
+/// What happens to the sums.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum After {
+    /// Nothing.
+    Nothing,
+    /// Negative values become 0.
+    Relu,
+}
+
+/// Weights laid out for the tiles, and what goes with them.
+#[derive(Debug)]
+pub struct Conv3x3 {
+    weights: Weights,
+    bias: Vec<f32>,
+    inputs: usize,
+    outputs: usize,
+}
+
+#[derive(Debug)]
+enum Weights {
+    /// `[tiles][inputs][9][TILE]`
+    Single(Vec<f32>),
+    /// As [`conv_pairs`] takes them.
+    Pairs(Vec<u32>),
+}
+
+/// Weights for the f32 tiles.
+fn pack(weight: &[f32], outputs: usize, inputs: usize) -> Vec<f32> {
+    let mut weights = vec![0.0; outputs.div_ceil(TILE) * inputs * 9 * TILE];
+    for output in 0..outputs {
+        let tile = &mut weights[(output / TILE) * inputs * 9 * TILE..][..inputs * 9 * TILE];
+        for (tap, &value) in weight[output * inputs * 9..][..inputs * 9].iter().enumerate() {
+            tile[tap * TILE + output % TILE] = value;
+        }
+    }
+    weights
+}
+
+impl Conv3x3 {
+    /// From PyTorch's layout. `weight [out, in, 3, 3]`, `bias [out]` or empty
+    pub fn new(weight: &[f32], bias: &[f32], outputs: usize, inputs: usize, precision: Precision) -> Self {
+        let mut padded = bias.to_vec();
+        padded.resize(outputs.div_ceil(TILE) * TILE, 0.0);
+        Self {
+            weights: match precision {
+                Precision::F32 => Weights::Single(pack(weight, outputs, inputs)),
+                Precision::Bf16 => Weights::Pairs(conv_pairs::pack(weight, outputs, inputs)),
+            },
+            bias: padded,
+            inputs,
+            outputs,
+        }
+    }
+
+    /// Convolves images; `rectify` applies a ReLU to the input first. `residual`, if any, has the shape of the output and is
+    /// added at the end, its negative values as 0. `[B, in, H, W] -> [B, out, H, W]`
+    pub fn run(
+        &self,
+        input: &[f32],
+        [height, width]: [usize; 2],
+        rectify: bool,
+        after: After,
+        residual: Option<&[f32]>,
+    ) -> Vec<f32> {
+        let area = height * width;
+        let images = input.len() / (self.inputs * area).max(1);
+        let rows = band_rows(self.inputs, width);
+        let bands = height.div_ceil(rows);
+        let mut output = vec![0.0f32; images * self.outputs * area];
+        let computed: Vec<Vec<f32>> = (0..images * bands)
+            .into_par_iter()
+            .map(|task| {
+                let (image, first) = (task / bands, (task % bands) * rows);
+                let count = rows.min(height - first);
+                let source = &input[image * self.inputs * area..][..self.inputs * area];
+                let mut band = Band::new(self.inputs, count, width);
+                band.fill(|channel, row, out| {
+                    let Some(row) = (first + row).checked_sub(1).filter(|&row| row < height) else {
+                        return;
+                    };
+                    let values = &source[channel * area + row * width..][..width];
+                    if rectify {
+                        out.iter_mut()
+                            .zip(values)
+                            .for_each(|(out, &value)| *out = value.max(0.0));
+                    } else {
+                        out.copy_from_slice(values);
+                    }
+                });
+                let mut sums = self.band(&band);
+                self.finish(&mut sums, after, residual, (image, first, count), [height, width]);
+                sums
+            })
+            .collect();
+        for (task, band) in computed.into_iter().enumerate() {
+            let (image, first) = (task / bands, (task % bands) * rows);
+            let length = rows.min(height - first) * width;
+            for (channel, values) in band.chunks_exact(length).take(self.outputs).enumerate() {
+                let start = (image * self.outputs + channel) * area + first * width;
+                output[start..start + length].copy_from_slice(values);
+            }
+        }
+        output
+    }
+
+    fn finish(
+        &self,
+        sums: &mut [f32],
+        after: After,
+        residual: Option<&[f32]>,
+        (image, first, count): (usize, usize, usize),
+        [height, width]: [usize; 2],
+    ) {
+        let area = height * width;
+        for (channel, values) in sums.chunks_exact_mut(count * width).take(self.outputs).enumerate() {
+            if after == After::Relu {
+                values.iter_mut().for_each(|value| *value = value.max(0.0));
+            }
+            if let Some(residual) = residual {
+                let start = (image * self.outputs + channel) * area + first * width;
+                values
+                    .iter_mut()
+                    .zip(&residual[start..])
+                    .for_each(|(value, &other)| *value += other.max(0.0));
+            }
+        }
+    }
+
+    /// Convolves one band. Returns `[out rounded up to tiles, rows, width]`.
+    pub(crate) fn band(&self, band: &Band) -> Vec<f32> {
+        let tiles = self.bias.len() / TILE;
+        let mut sums = vec![0.0f32; tiles * TILE * band.rows * band.width];
+        match &self.weights {
+            Weights::Single(weights) => Arch::new().dispatch(BandKernel {
+                weights,
+                conv: self,
+                band,
+                sums: &mut sums,
+            }),
+            Weights::Pairs(weights) => conv_pairs::band(weights, &self.bias, band, &mut sums),
+        }
+        sums
+    }
+}
+
+/// Rows of a band: the buffer of the inputs should fit the second-level cache.
+pub(crate) fn band_rows(inputs: usize, width: usize) -> usize {
+    const CACHE_FLOATS: usize = 160 << 10;
+    (CACHE_FLOATS / (inputs * (width + 2 * MAX_LANES)).max(1))
+        .saturating_sub(2)
+        .clamp(2, 16)
+}
+
+/// Input rows of a band of output rows, with a row above and below, padded with zeros. `[inputs][rows + 2][stride]`
+pub(crate) struct Band {
+    values: Vec<f32>,
+    rows: usize,
+    width: usize,
+    stride: usize,
+}
+
+impl Band {
+    pub(crate) fn new(inputs: usize, rows: usize, width: usize) -> Self {
+        // Tiles read whole vectors, up to one beyond the last column and its right neighbour.
+        let stride = width.next_multiple_of(MAX_LANES) + MAX_LANES;
+        Self {
+            values: vec![0.0; inputs * (rows + 2) * stride],
+            rows,
+            width,
+            stride,
+        }
+    }
+
+    /// Rows and columns that are computed.
+    pub(crate) fn size(&self) -> [usize; 2] {
+        [self.rows, self.width]
+    }
+
+    /// Distance of rows in the buffer.
+    pub(crate) fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// Distance of channels in the buffer.
+    pub(crate) fn plane(&self) -> usize {
+        (self.rows + 2) * self.stride
+    }
+
+    /// The buffer. `[inputs][rows + 2][stride]`
+    pub(crate) fn values(&self) -> &[f32] {
+        &self.values
+    }
+
+    /// Fills each input row: `row(channel, index, out)` where index 0 is the row above the band. Rows left alone are zero.
+    pub(crate) fn fill(&mut self, mut row: impl FnMut(usize, usize, &mut [f32])) {
+        let rows = self.rows + 2;
+        for (index, values) in self.values.chunks_exact_mut(self.stride).enumerate() {
+            row(index / rows, index % rows, &mut values[LEFT..LEFT + self.width]);
+        }
+    }
+}
+
+struct BandKernel<'a> {
+    weights: &'a [f32],
+    conv: &'a Conv3x3,
+    band: &'a Band,
+    sums: &'a mut [f32],
+}
+
+impl WithSimd for BandKernel<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self {
+            weights,
+            conv,
+            band,
+            sums,
+        } = self;
+        let vectors = band.width.div_ceil(S::F32_LANES);
+        let (per_tile, plane) = (conv.inputs * 9 * TILE, band.rows * band.width);
+        let (tiles, biases) = (weights.chunks_exact(per_tile), conv.bias.chunks_exact(TILE));
+        for ((weights, bias), out) in tiles.zip(biases).zip(sums.chunks_exact_mut(TILE * plane)) {
+            for row in 0..band.rows {
+                let mut first = 0;
+                while first < vectors {
+                    let column = first * S::F32_LANES;
+                    // 4 = 2 + 2 keeps more sums in flight than 3 + 1.
+                    first += match vectors - first {
+                        1 => tile::<S, 1>(simd, conv, band, weights, bias, out, row, column),
+                        2 | 4 => tile::<S, 2>(simd, conv, band, weights, bias, out, row, column),
+                        _ => tile::<S, 3>(simd, conv, band, weights, bias, out, row, column),
+                    };
+                }
+            }
+        }
+    }
+}
+
+/// Sums one tile of `TILE` channels by `V` vectors of one row; returns V.
+#[inline(always)]
+fn tile<S: Simd, const V: usize>(
+    simd: S,
+    conv: &Conv3x3,
+    band: &Band,
+    weights: &[f32],
+    bias: &[f32],
+    out: &mut [f32],
+    row: usize,
+    column: usize,
+) -> usize {
+    let mut sums: [[S::f32s; V]; TILE] = std::array::from_fn(|channel| [simd.splat_f32s(bias[channel]); V]);
+    let channel_stride = band.plane();
+    let span = V * S::F32_LANES;
+    for (channel, weights) in weights.chunks_exact(9 * TILE).enumerate() {
+        let rows = &band.values[channel * channel_stride + row * band.stride + column..];
+        for ky in 0..3 {
+            let values = &rows[ky * band.stride..][..span + 2];
+            for kx in 0..3 {
+                let (values, _) = S::as_simd_f32s(&values[kx..kx + span]);
+                let taps = &weights[(3 * ky + kx) * TILE..][..TILE];
+                for output in 0..TILE {
+                    let weight = simd.splat_f32s(taps[output]);
+                    for vector in 0..V {
+                        sums[output][vector] = simd.mul_add_f32s(weight, values[vector], sums[output][vector]);
+                    }
+                }
+            }
+        }
+    }
+    let plane = band.rows * band.width;
+    let valid = (band.width - column).min(span);
+    for (output, sums) in sums.iter().enumerate() {
+        let row = &mut out[output * plane + row * band.width + column..][..valid];
+        let mut chunks = row.chunks_mut(S::F32_LANES);
+        for &sum in sums {
+            if let Some(chunk) = chunks.next() {
+                simd.partial_store_f32s(chunk, sum);
+            }
+        }
+    }
+    debug_assert!(conv.outputs > 0);
+    V
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The definition.
+    fn plain(
+        input: &[f32],
+        weight: &[f32],
+        bias: &[f32],
+        [inputs, outputs]: [usize; 2],
+        [h, w]: [usize; 2],
+    ) -> Vec<f32> {
+        let mut result = Vec::new();
+        for output in 0..outputs {
+            for row in 0..h as isize {
+                for column in 0..w as isize {
+                    let mut sum = f64::from(bias[output]);
+                    for input_channel in 0..inputs {
+                        for (tap, (dy, dx)) in (0..9).map(|tap| (tap, (tap as isize / 3 - 1, tap as isize % 3 - 1))) {
+                            let (y, x) = (row + dy, column + dx);
+                            if (0..h as isize).contains(&y) && (0..w as isize).contains(&x) {
+                                let value = input[(input_channel * h + y as usize) * w + x as usize];
+                                sum +=
+                                    f64::from(value) * f64::from(weight[(output * inputs + input_channel) * 9 + tap]);
+                            }
+                        }
+                    }
+                    result.push(sum as f32);
+                }
+            }
+        }
+        result
+    }
+
+    fn noise(count: usize, seed: usize) -> Vec<f32> {
+        (0..count)
+            .map(|k| (((k * 7919 + seed * 104_729) % 1009) as f32 / 504.5) - 1.0)
+            .collect()
+    }
+
+    #[test]
+    fn equals_the_definition_at_odd_sizes() {
+        for (inputs, outputs, h, w) in [
+            (1, 1, 1, 1),
+            (3, 5, 4, 7),
+            (2, 8, 19, 33),
+            (5, 12, 3, 64),
+            (16, 9, 37, 81),
+        ] {
+            let (input, weight, bias) = (
+                noise(inputs * h * w, 1),
+                noise(outputs * inputs * 9, 2),
+                noise(outputs, 3),
+            );
+            let found = Conv3x3::new(&weight, &bias, outputs, inputs, Precision::F32).run(
+                &input,
+                [h, w],
+                false,
+                After::Nothing,
+                None,
+            );
+            let expected = plain(&input, &weight, &bias, [inputs, outputs], [h, w]);
+            for (a, b) in found.iter().zip(&expected) {
+                assert!((a - b).abs() < 1e-4, "{inputs}x{outputs} at {h}x{w}: {a} {b}");
+            }
+            let rectified: Vec<f32> = input.iter().map(|value| value.max(0.0)).collect();
+            let expected = plain(&rectified, &weight, &bias, [inputs, outputs], [h, w]);
+            let residual = noise(expected.len(), 4);
+            let found = Conv3x3::new(&weight, &bias, outputs, inputs, Precision::F32).run(
+                &input,
+                [h, w],
+                true,
+                After::Relu,
+                Some(&residual),
+            );
+            for ((a, b), r) in found.iter().zip(&expected).zip(&residual) {
+                assert!((a - (b.max(0.0) + r.max(0.0))).abs() < 1e-4);
+            }
+        }
+    }
+}

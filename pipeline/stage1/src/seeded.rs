@@ -1,0 +1,230 @@
+//! Seeded weights: what training starts from when there is no checkpoint, and what the demo runs with.
+//!
+//! Values depend on the seed, the tensor's name and the position in it, on nothing else. Besides the initial values of
+//! `docs/spec/stage1.md` (appendix) the last layers start where an untrained network already gives a plausible picture:
+//! about one metre of depth, the pixel's own colour, opaque splats about a pixel wide, no motion.
+
+use super::config::{HeadKind, PREFIX, Stage1Config};
+use super::layout::{self, Initial, ParameterSpec};
+use super::network::Stage1;
+use crate::Result;
+use burn::tensor::Device;
+use rogs_schemas::units::UNITS_PER_METRE;
+use rogs_tensors::parameters::Parameters;
+
+/// Depth at which an untrained network places everything, metres.
+const START_DEPTH_M: f64 = 1.0;
+/// Raw scale of an untrained network: softplus(11) * 0.001 iu is about 3 mm, half a pixel at one metre.
+const START_SCALE: f32 = 11.0;
+/// Raw opacity of an untrained network: sigmoid(2 * 2.5 - 2) = 0.95.
+const START_OPACITY: f32 = 2.5;
+/// Share of the usual size with which the last layer of a head starts, so that its features colour the start only a little.
+const LAST_LAYER_GAIN: f32 = 0.02;
+/// Beyond this distance from the middle the slope of the colour shortcut rises (see [`color_shortcut`]).
+const COLOR_KNEE: f32 = 0.35;
+
+/// All parameters of a configuration with the FK branch, from a seed.
+///
+/// # Errors
+/// When the configuration is not possible.
+pub fn network(config: &Stage1Config, seed: u64, device: &Device) -> Result<Stage1> {
+    config.validate()?;
+    let mut parameters = Parameters::new(device);
+    for spec in layout::released(config).into_iter().chain(layout::fk_branch(config)) {
+        let values = values(&spec, config, seed);
+        parameters.insert(&spec.name, &spec.shape, values)?;
+    }
+    Stage1::new(config.clone(), parameters)
+}
+
+/// Initial values of one parameter.
+#[must_use]
+pub fn values(spec: &ParameterSpec, config: &Stage1Config, seed: u64) -> Vec<f32> {
+    let mut values = drawn(&spec.name, spec.len(), spec.initial, seed);
+    let local = spec
+        .name
+        .strip_prefix(PREFIX)
+        .and_then(|name| name.strip_prefix('.'))
+        .unwrap_or(&spec.name);
+    let Some((head, local)) = HeadKind::ALL.iter().find_map(|&kind| {
+        local
+            .strip_prefix(kind.name())
+            .and_then(|rest| rest.strip_prefix('.'))
+            .map(|rest| (kind, rest))
+    }) else {
+        return values;
+    };
+    match (head, local) {
+        (HeadKind::Motion, "scratch.output_conv2.2.weight" | "scratch.output_conv2.2.bias") => values.fill(0.0),
+        (_, "scratch.output_conv2.2.weight") => values.iter_mut().for_each(|value| *value *= LAST_LAYER_GAIN),
+        (HeadKind::Depth, "scratch.output_conv2.2.bias") => {
+            values.copy_from_slice(&[libm::log(START_DEPTH_M * UNITS_PER_METRE) as f32, 0.0]);
+        }
+        (HeadKind::Splat, "scratch.output_conv2.2.bias") => {
+            let start = [
+                0.0,
+                0.0,
+                0.0,
+                START_SCALE,
+                START_SCALE,
+                START_SCALE,
+                1.0,
+                0.0,
+                0.0,
+                0.0,
+                START_OPACITY,
+                0.0,
+            ];
+            values.copy_from_slice(&start);
+        }
+        (HeadKind::MotionSplat, "scratch.output_conv2.2.bias") => values.fill(0.0),
+        (HeadKind::Splat, _) if local.starts_with("shortcut.") => {
+            color_shortcut(local, config.head_hidden, &mut values)
+        }
+        (HeadKind::MotionSplat, _) if local.starts_with("shortcut.") => {
+            pass_shortcut(local, config.head_hidden, &mut values)
+        }
+        _ => {}
+    }
+    values
+}
+
+/// Shortcut weights with which raw = (2 c - 1), steeper towards black and white, so that sigmoid(2 raw) is close to c.
+fn color_shortcut(local: &str, hidden: usize, values: &mut [f32]) {
+    // Hidden units 3 k, 3 k + 1, 3 k + 2 of colour k: relu(c), relu(c - 0.5 - knee), relu(0.5 - knee - c).
+    const STEEP: f32 = 8.0;
+    if hidden < 9 {
+        return;
+    }
+    values.fill(0.0);
+    for color in 0..3 {
+        let units = [
+            (1.0, 0.0, 2.0),
+            (1.0, -0.5 - COLOR_KNEE, STEEP),
+            (-1.0, 0.5 - COLOR_KNEE, -STEEP),
+        ];
+        for (unit, (weight, bias, gain)) in units.into_iter().enumerate() {
+            let unit = 3 * color + unit;
+            match local {
+                "shortcut.0.weight" => values[(unit * 3 + color) * 9 + 4] = weight,
+                "shortcut.0.bias" => values[unit] = bias,
+                "shortcut.2.weight" => values[color * hidden + unit] = gain,
+                _ => values[color] = -1.0,
+            }
+        }
+    }
+}
+
+/// Shortcut weights that pass the base attributes on: colours with both signs, scales, the real part of the rotation and
+/// opacity by their positive part.
+fn pass_shortcut(local: &str, hidden: usize, values: &mut [f32]) {
+    const UNITS: [(usize, f32); 11] = [
+        (0, 1.0),
+        (0, -1.0),
+        (1, 1.0),
+        (1, -1.0),
+        (2, 1.0),
+        (2, -1.0),
+        (3, 1.0),
+        (4, 1.0),
+        (5, 1.0),
+        (6, 1.0),
+        (10, 1.0),
+    ];
+    if hidden < UNITS.len() {
+        return;
+    }
+    values.fill(0.0);
+    for (unit, (channel, sign)) in UNITS.into_iter().enumerate() {
+        match local {
+            "shortcut.0.weight" => values[(unit * 11 + channel) * 9 + 4] = sign,
+            "shortcut.2.weight" => values[channel * hidden + unit] = sign,
+            _ => {}
+        }
+    }
+}
+
+/// Values of a tensor from its distribution.
+fn drawn(name: &str, count: usize, initial: Initial, seed: u64) -> Vec<f32> {
+    let key = mix(seed ^ mix(hash(name.as_bytes())));
+    match initial {
+        Initial::Constant(value) => vec![value; count],
+        Initial::Uniform { fan_in } => {
+            let bound = 1.0 / (fan_in.max(1) as f64).sqrt();
+            (0..count as u64)
+                .map(|index| ((2.0 * unit(key, index) - 1.0) * bound) as f32)
+                .collect()
+        }
+        Initial::Normal { std } => {
+            // Box and Muller, the cosine branch only: one value per pair of counters.
+            let value = |index: u64| {
+                let radius = (-2.0 * libm::log(1.0 - unit(key, 2 * index))).sqrt();
+                (radius * libm::cos(std::f64::consts::TAU * unit(key, 2 * index + 1)) * f64::from(std)) as f32
+            };
+            (0..count as u64).map(value).collect()
+        }
+    }
+}
+
+/// A number in [0, 1) from a key and a counter.
+fn unit(key: u64, counter: u64) -> f64 {
+    (mix(key.wrapping_add(counter.wrapping_mul(0x9e37_79b9_7f4a_7c15))) >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// The finaliser of SplitMix64: a bijection of 64-bit numbers that passes statistical tests on counters.
+fn mix(value: u64) -> u64 {
+    let value = (value ^ (value >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let value = (value ^ (value >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    value ^ (value >> 31)
+}
+
+/// FNV-1a.
+fn hash(bytes: &[u8]) -> u64 {
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, &byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn moments(values: &[f32]) -> (f64, f64) {
+        let mean = values.iter().map(|&value| f64::from(value)).sum::<f64>() / values.len() as f64;
+        let variance = values
+            .iter()
+            .map(|&value| (f64::from(value) - mean).powi(2))
+            .sum::<f64>()
+            / values.len() as f64;
+        (mean, variance.sqrt())
+    }
+
+    #[test]
+    fn draws_have_the_moments_of_their_distribution() {
+        let (mean, std) = moments(&drawn("a", 100_000, Initial::Normal { std: 0.02 }, 7));
+        assert!(mean.abs() < 3e-4 && (std / 0.02 - 1.0).abs() < 0.02, "{mean} {std}");
+        let uniform = drawn("a", 100_000, Initial::Uniform { fan_in: 16 }, 7);
+        let (mean, std) = moments(&uniform);
+        assert!(
+            mean.abs() < 2e-3 && (std / (0.25 / 3f64.sqrt()) - 1.0).abs() < 0.02,
+            "{mean} {std}"
+        );
+        assert!(uniform.iter().all(|value| value.abs() <= 0.25));
+    }
+
+    #[test]
+    fn tensors_differ_by_name_and_by_seed() {
+        let draw = |name, seed| drawn(name, 8, Initial::Normal { std: 1.0 }, seed);
+        assert_eq!(draw("a", 1), draw("a", 1));
+        assert_ne!(draw("a", 1), draw("b", 1));
+        assert_ne!(draw("a", 1), draw("a", 2));
+    }
+
+    #[test]
+    fn compact_has_laptop_size() {
+        let config = Stage1Config::compact();
+        config.validate().unwrap();
+        let count: usize = layout::released(&config).iter().map(ParameterSpec::len).sum();
+        assert!((4_000_000..10_000_000).contains(&count), "{count}");
+    }
+}

@@ -1,0 +1,175 @@
+//! Reading golden vectors.
+#![allow(dead_code, unreachable_pub)]
+
+pub mod network;
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use rogs_stage1::{Camera, Stage1, Stage1Config};
+use rogs_tensors::parameters::{Parameters, to_host};
+use safetensors::{Dtype, SafeTensors};
+
+/// The tensors of one golden file.
+pub struct Golden(BTreeMap<String, (Vec<usize>, Vec<f32>)>);
+
+/// The folder of the shared references, if this checkout lies beside it.
+pub fn shared() -> Option<PathBuf> {
+    let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
+    let folder = std::env::var_os("ROGS_SHARED").map_or(beside, PathBuf::from);
+    folder.is_dir().then_some(folder)
+}
+
+impl Golden {
+    /// Opens a file of the repository or of the shared references; says why when there is none.
+    pub fn open(name: &str) -> Option<Self> {
+        let own = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/{name}.safetensors"));
+        let shared = || shared().map(|folder| folder.join(format!("golden/stage1/{name}.safetensors")));
+        let path = if own.exists() {
+            Some(own)
+        } else {
+            shared().filter(|path| path.exists())
+        };
+        let Some(path) = path else {
+            eprintln!("skipped: {name}.safetensors is only in the shared references (set ROGS_SHARED)");
+            return None;
+        };
+        let bytes = std::fs::read(path).unwrap();
+        let file = SafeTensors::deserialize(&bytes).unwrap();
+        let read = |(name, view): (String, safetensors::tensor::TensorView<'_>)| {
+            (name, (view.shape().to_vec(), values(&view)))
+        };
+        Some(Self(file.tensors().into_iter().map(read).collect()))
+    }
+
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.0.keys().map(String::as_str)
+    }
+
+    pub fn has(&self, name: &str) -> bool {
+        self.0.contains_key(name)
+    }
+
+    pub fn shape(&self, name: &str) -> &[usize] {
+        &self.0[name].0
+    }
+
+    pub fn values(&self, name: &str) -> &[f32] {
+        &self.0.get(name).unwrap_or_else(|| panic!("no tensor {name}")).1
+    }
+
+    pub fn scalar(&self, name: &str) -> f32 {
+        self.values(name)[0]
+    }
+
+    pub fn matrices(&self, name: &str) -> Vec<[f64; 16]> {
+        let matrix = |values: &[f32]| std::array::from_fn(|index| f64::from(values[index]));
+        self.values(name).chunks_exact(16).map(matrix).collect()
+    }
+
+    /// The tensors whose names begin with `prefix`, as parameters.
+    pub fn parameters(&self, prefix: &str, device: &Device) -> Parameters {
+        let mut parameters = Parameters::new(device);
+        for name in self.names().filter(|name| name.starts_with(prefix)) {
+            parameters
+                .insert(name, self.shape(name), self.values(name).to_vec())
+                .unwrap();
+        }
+        parameters
+    }
+
+    /// A tensor in another shape of the same size.
+    pub fn tensor<const D: usize>(&self, name: &str, shape: [usize; D], device: &Device) -> Tensor<D> {
+        Tensor::from_data(TensorData::new(self.values(name).to_vec(), shape), device)
+    }
+
+    pub fn cameras(&self, matrices: &str, intrinsics: &str) -> Vec<Camera> {
+        let focal = |values: &[f32]| std::array::from_fn(|index| f64::from(values[index]));
+        let intrinsics = self.values(intrinsics).chunks_exact(4).map(focal);
+        self.matrices(matrices)
+            .iter()
+            .zip(intrinsics)
+            .map(|(matrix, focal)| Camera::from_matrix(matrix, focal))
+            .collect()
+    }
+}
+
+fn values(view: &safetensors::tensor::TensorView<'_>) -> Vec<f32> {
+    let data = view.data();
+    match view.dtype() {
+        Dtype::F32 => data
+            .chunks_exact(4)
+            .map(|b| f32::from_le_bytes(b.try_into().unwrap()))
+            .collect(),
+        Dtype::I64 => data
+            .chunks_exact(8)
+            .map(|b| i64::from_le_bytes(b.try_into().unwrap()) as f32)
+            .collect(),
+        Dtype::I32 => data
+            .chunks_exact(4)
+            .map(|b| i32::from_le_bytes(b.try_into().unwrap()) as f32)
+            .collect(),
+        other => panic!("unexpected type {other:?}"),
+    }
+}
+
+pub fn tiny_config() -> Stage1Config {
+    Stage1Config {
+        name: "tiny".into(),
+        width: 64,
+        heads: 4,
+        patch: 14,
+        encoder_blocks: 2,
+        position_grid: 5,
+        registers: 4,
+        pairs: 4,
+        taps: [0, 1, 2, 3],
+        head_channels: [8, 12, 16, 16],
+        head_features: 16,
+        head_hidden: 32,
+        time_frequencies: 10,
+        fk_hidden: 32,
+        stem_channels: [0; 4],
+        sweep_depths: 0,
+    }
+}
+
+/// The tiny network of the goldens.
+pub fn tiny(device: &Device) -> Option<Stage1> {
+    let weights = Golden::open("weights_tiny")?;
+    let mut parameters = Parameters::new(device);
+    for name in weights.names() {
+        parameters
+            .insert(name, weights.shape(name), weights.values(name).to_vec())
+            .unwrap();
+    }
+    Some(Stage1::new(tiny_config(), parameters).unwrap())
+}
+
+/// Largest absolute difference; NaN counts as infinite.
+pub fn worst(found: &[f32], expected: &[f32]) -> f32 {
+    assert_eq!(found.len(), expected.len(), "number of values");
+    let difference = |(a, b): (&f32, &f32)| if (a - b).is_nan() { f32::INFINITY } else { (a - b).abs() };
+    found.iter().zip(expected).map(difference).fold(0.0, f32::max)
+}
+
+/// Fails when the largest absolute difference exceeds the tolerance.
+#[track_caller]
+pub fn close(what: &str, found: &[f32], expected: &[f32], tolerance: f32) {
+    let error = worst(found, expected);
+    println!("{what}: worst error {error:.2e} (tolerance {tolerance:.0e})");
+    assert!(
+        error <= tolerance,
+        "{what}: worst error {error:e} exceeds {tolerance:e}"
+    );
+}
+
+/// The tolerance of `full_forward`: 1e-5 + 1e-5 x the largest reference magnitude.
+pub fn scaled_tolerance(expected: &[f32]) -> f32 {
+    1e-5 + 1e-5 * expected.iter().fold(0.0f32, |largest, value| largest.max(value.abs()))
+}
+
+pub fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    to_host(tensor).unwrap()
+}

@@ -1,0 +1,72 @@
+//! The 3x3 convolution: forward by the direct kernel, gradients by the same kernel
+//! with the weights turned round (input) and by [`weight_gradient`] (weights).
+
+use burn::tensor::Tensor;
+
+use super::{INPUTS, InputGradients, Operation, of_three};
+use rogs_kernels::{After, Conv3x3, Precision};
+use rogs_kernels::{Maps, weight_gradient};
+
+/// Taps of a kernel.
+const TAPS: usize = 9;
+
+/// Convolves. `input [B, in, H, W]`, `weight [out, in, 3, 3]`, `bias [out]`
+pub fn convolve(input: Tensor<4>, weight: Tensor<4>, bias: Tensor<1>, products: Precision) -> Tensor<4> {
+    let ([images, inputs, height, width], [outputs, ..]) = (input.dims(), weight.dims());
+    let maps = Maps {
+        inputs,
+        outputs,
+        height,
+        width,
+        products,
+    };
+    of_three(input, weight, bias, [images, outputs, height, width], maps)
+}
+
+impl Operation for Maps {
+    fn forward(&self, [input, weight, bias]: [&[f32]; INPUTS]) -> Vec<f32> {
+        let conv = Conv3x3::new(weight, bias, self.outputs, self.inputs, self.products);
+        conv.run(input, [self.height, self.width], false, After::Nothing, None)
+    }
+
+    fn backward(
+        &self,
+        gradient: &[f32],
+        [input, weight, _]: [&[f32]; INPUTS],
+        wanted: [bool; INPUTS],
+    ) -> InputGradients {
+        let of_input = wanted[0].then(|| {
+            let conv = Conv3x3::new(
+                &turned(weight, self.inputs, self.outputs),
+                &[],
+                self.inputs,
+                self.outputs,
+                self.products,
+            );
+            conv.run(gradient, [self.height, self.width], false, After::Nothing, None)
+        });
+        let of_weight = wanted[1].then(|| weight_gradient(gradient, input, *self));
+        let of_bias = wanted[2].then(|| {
+            let mut sums = vec![0.0f64; self.outputs];
+            for (plane, values) in gradient.chunks_exact((self.height * self.width).max(1)).enumerate() {
+                sums[plane % self.outputs] += values.iter().map(|&value| f64::from(value)).sum::<f64>();
+            }
+            sums.into_iter().map(|sum| sum as f32).collect()
+        });
+        [of_input, of_weight, of_bias]
+    }
+}
+
+/// Weights of the convolution that takes gradients back: inputs and outputs exchanged, taps in reverse order.
+fn turned(weight: &[f32], inputs: usize, outputs: usize) -> Vec<f32> {
+    let mut turned = vec![0.0; weight.len()];
+    for output in 0..outputs {
+        for input in 0..inputs {
+            for tap in 0..TAPS {
+                turned[(input * outputs + output) * TAPS + TAPS - 1 - tap] =
+                    weight[(output * inputs + input) * TAPS + tap];
+            }
+        }
+    }
+    turned
+}

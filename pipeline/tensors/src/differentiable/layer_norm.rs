@@ -1,0 +1,112 @@
+//! Layer normalisation over the last dimension.
+
+use burn::tensor::Tensor;
+use rayon::prelude::*;
+
+use super::{INPUTS, InputGradients, Operation, of_three};
+use rogs_kernels::lanes::sum;
+use rogs_kernels::vectorised;
+
+/// Rows of a task.
+const TASK_ROWS: usize = 64;
+
+#[derive(Debug)]
+struct Norm {
+    size: usize,
+    epsilon: f32,
+}
+
+/// (x - mean) / sqrt(variance + epsilon) * weight + bias. `[..., size]`, `weight [size]`, `bias [size]`
+pub fn layer_norm<const D: usize>(input: Tensor<D>, weight: Tensor<1>, bias: Tensor<1>, epsilon: f64) -> Tensor<D> {
+    let (shape, size) = (input.dims(), input.dims()[D - 1]);
+    let epsilon = epsilon as f32;
+    of_three(input, weight, bias, shape, Norm { size, epsilon })
+}
+
+impl Norm {
+    /// Mean and 1 / sqrt(variance + epsilon) of a row.
+    #[inline(always)]
+    fn moments(&self, row: &[f32]) -> (f32, f32) {
+        let mean = sum(row, |value| value) / self.size as f32;
+        let variance = sum(row, |value| (value - mean) * (value - mean)) / self.size as f32;
+        (mean, 1.0 / (variance + self.epsilon).sqrt())
+    }
+}
+
+impl Operation for Norm {
+    fn forward(&self, [input, weight, bias]: [&[f32]; INPUTS]) -> Vec<f32> {
+        let size = self.size.max(1);
+        let mut out = vec![0.0f32; input.len()];
+        out.par_chunks_mut(TASK_ROWS * size)
+            .zip(input.par_chunks(TASK_ROWS * size))
+            .for_each(|(out, input)| {
+                vectorised(
+                    #[inline(always)]
+                    || {
+                        for (out, row) in out.chunks_exact_mut(size).zip(input.chunks_exact(size)) {
+                            let (mean, scale) = self.moments(row);
+                            let affine = weight.iter().zip(bias);
+                            for ((out, &value), (weight, bias)) in out.iter_mut().zip(row).zip(affine) {
+                                *out = ((value - mean) * scale).mul_add(*weight, *bias);
+                            }
+                        }
+                    },
+                );
+            });
+        out
+    }
+
+    // With y the normalised row and h = gradient * weight: scale * (h - mean(h) - y * mean(h y)).
+    fn backward(
+        &self,
+        gradient: &[f32],
+        [input, weight, _]: [&[f32]; INPUTS],
+        wanted: [bool; INPUTS],
+    ) -> InputGradients {
+        let size = self.size.max(1);
+        let mut of_input = vec![0.0f32; input.len()];
+        let partial: Vec<[Vec<f32>; 2]> = of_input
+            .par_chunks_mut(TASK_ROWS * size)
+            .zip(
+                input
+                    .par_chunks(TASK_ROWS * size)
+                    .zip(gradient.par_chunks(TASK_ROWS * size)),
+            )
+            .map(|(out, (input, gradient))| {
+                let [mut of_weight, mut of_bias] = [vec![0.0f32; size], vec![0.0f32; size]];
+                let mut scaled = vec![0.0f32; size];
+                vectorised(
+                    #[inline(always)]
+                    || {
+                        let rows = input.chunks_exact(size).zip(gradient.chunks_exact(size));
+                        for (out, (row, gradient)) in out.chunks_exact_mut(size).zip(rows) {
+                            let (mean, scale) = self.moments(row);
+                            for k in 0..size {
+                                let unit = (row[k] - mean) * scale;
+                                of_weight[k] += gradient[k] * unit;
+                                of_bias[k] += gradient[k];
+                                scaled[k] = gradient[k] * weight[k];
+                                out[k] = scaled[k] * unit;
+                            }
+                            let shift = sum(&scaled, |value| value) / size as f32;
+                            let slope = sum(out, |value| value) / size as f32;
+                            for k in 0..size {
+                                let unit = (row[k] - mean) * scale;
+                                out[k] = scale * (scaled[k] - shift - unit * slope);
+                            }
+                        }
+                    },
+                );
+                [of_weight, of_bias]
+            })
+            .collect();
+        let total = |part: usize| {
+            let mut sum = vec![0.0f32; size];
+            for sums in &partial {
+                sum.iter_mut().zip(&sums[part]).for_each(|(sum, value)| *sum += value);
+            }
+            sum
+        };
+        [Some(of_input), wanted[1].then(|| total(0)), wanted[2].then(|| total(1))]
+    }
+}

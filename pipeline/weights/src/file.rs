@@ -1,0 +1,118 @@
+//! A mapped safetensors file.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use memmap2::Mmap;
+
+use super::header::{self, MAX_HEADER_BYTES, TensorEntry};
+use crate::ParameterSource;
+use crate::{Error, Result};
+
+/// A safetensors file mapped into memory.
+pub struct TensorFile {
+    path: PathBuf,
+    map: Mmap,
+    data_start: usize,
+    tensors: BTreeMap<String, TensorEntry>,
+    metadata: BTreeMap<String, String>,
+}
+
+impl TensorFile {
+    /// Maps a file and reads its header.
+    ///
+    /// # Errors
+    /// When it cannot be read or is damaged.
+    pub fn open(path: &Path) -> Result<Self> {
+        let io = |source| Error::Io {
+            path: path.to_owned(),
+            source,
+        };
+        let bad = |reason: String| Error::BadFile {
+            path: path.to_owned(),
+            reason,
+        };
+        let file = File::open(path).map_err(io)?;
+        let map = map_read_only(&file).map_err(io)?;
+        let Some(length) = map.first_chunk::<8>().map(|bytes| u64::from_le_bytes(*bytes)) else {
+            return Err(bad("it is too short to be a safetensors file".into()));
+        };
+        if length > MAX_HEADER_BYTES || length > (map.len() - 8) as u64 {
+            return Err(bad(format!(
+                "it claims a header of {length} bytes; it is no safetensors file, or cut short"
+            )));
+        }
+        let data_start = 8 + length as usize;
+        let (tensors, metadata) = header::parse(&map[8..data_start], map.len() - data_start).map_err(bad)?;
+        Ok(Self {
+            path: path.to_owned(),
+            map,
+            data_start,
+            tensors,
+            metadata,
+        })
+    }
+
+    /// Tensors by name.
+    #[must_use]
+    pub fn tensors(&self) -> &BTreeMap<String, TensorEntry> {
+        &self.tensors
+    }
+
+    /// Metadata of the header.
+    #[must_use]
+    pub fn metadata(&self) -> &BTreeMap<String, String> {
+        &self.metadata
+    }
+
+    /// Number of values of all tensors.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.tensors
+            .values()
+            .map(|entry| entry.bytes / entry.element.bytes())
+            .sum()
+    }
+
+    /// True when the file has no value.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The file.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+impl ParameterSource for TensorFile {
+    fn shape(&self, name: &str) -> Option<&[usize]> {
+        self.tensors.get(name).map(|entry| entry.shape.as_slice())
+    }
+
+    fn values(&self, name: &str) -> Result<Vec<f32>> {
+        let entry = self
+            .tensors
+            .get(name)
+            .ok_or_else(|| Error::MissingTensor { name: name.to_owned() })?;
+        let start = self.data_start + entry.start;
+        Ok(entry.element.widen(&self.map[start..start + entry.bytes]))
+    }
+
+    fn names(&self) -> Vec<&str> {
+        self.tensors.keys().map(String::as_str).collect()
+    }
+}
+
+/// Maps a file for reading.
+// Mapping needs unsafe because the kernel would show a concurrent change of the file. Values are copied out and every
+// bit pattern is a valid number, so such a change can give wrong numbers but nothing worse; a file that is cut shorter
+// while it is used ends the process with SIGBUS, as documented for checkpoints: do not write to one in use.
+#[allow(unsafe_code)]
+fn map_read_only(file: &File) -> std::io::Result<Mmap> {
+    // SAFETY: the map is private to this module and only read, see above.
+    unsafe { Mmap::map(file) }
+}

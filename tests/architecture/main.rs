@@ -1,0 +1,161 @@
+//! The invariants of ARCHITECTURE.md that can be read off the source tree.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .ancestors()
+        .nth(2)
+        .unwrap()
+        .to_path_buf()
+}
+
+/// Crate folders below the root, with the names of our crates in their `[dependencies]` (not dev-dependencies).
+fn own_dependencies() -> BTreeMap<String, Vec<String>> {
+    let root = root();
+    let mut manifests = vec![root.join("schemas/Cargo.toml")];
+    for group in ["pipeline", "stages", "tools"] {
+        for entry in std::fs::read_dir(root.join(group)).unwrap() {
+            let manifest = entry.unwrap().path().join("Cargo.toml");
+            if manifest.exists() {
+                manifests.push(manifest);
+            }
+        }
+    }
+    let read = |manifest: PathBuf| {
+        let text = std::fs::read_to_string(&manifest).unwrap();
+        let table: toml::Table = text.parse().unwrap();
+        let name = table["package"]["name"].as_str().unwrap().to_owned();
+        let dependencies = table.get("dependencies").and_then(toml::Value::as_table);
+        let ours = dependencies
+            .into_iter()
+            .flatten()
+            .map(|(name, _)| name.clone())
+            .filter(|name| name.starts_with("rogs"));
+        (name, ours.collect())
+    };
+    manifests.into_iter().map(read).collect()
+}
+
+/// Every Rust source of our crates outside tests, benches and examples.
+fn sources() -> Vec<PathBuf> {
+    fn walk(folder: &Path, out: &mut Vec<PathBuf>) {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            if path.is_dir() {
+                if !["tests", "benches", "examples", "target", "fuzz"].contains(&name.as_str()) {
+                    walk(&path, out);
+                }
+            } else if name.ends_with(".rs") {
+                out.push(path);
+            }
+        }
+    }
+    let mut out = Vec::new();
+    for group in ["schemas", "pipeline", "stages", "tools"] {
+        walk(&root().join(group), &mut out);
+    }
+    out.sort();
+    out
+}
+
+/// Lines of code: what comes before a `#[cfg(test)]` module, without comments.
+fn code_lines(path: &Path) -> Vec<(usize, String)> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let before_tests = text.split("#[cfg(test)]").next().unwrap();
+    let strip = |(index, line): (usize, &str)| (index + 1, line.split("//").next().unwrap().to_owned());
+    before_tests.lines().enumerate().map(strip).collect()
+}
+
+#[test]
+fn dependencies_point_one_way() {
+    let stages = ["ingest", "robot-maps", "conditioning", "lift", "refine", "score"];
+    let is_stage = |name: &str| name.strip_prefix("rogs-").is_some_and(|name| stages.contains(&name));
+    let allowed = |name: &str| -> &[&str] {
+        match name {
+            "rogs-schemas" | "rogs-random" | "rogs-flat-exr" | "rogs-pages" | "rogs-kernels" | "rogs-weights" => &[],
+            "rogs-geometry" | "rogs-splat" | "rogs-worker" => &["rogs-schemas"],
+            "rogs-tensors" => &["rogs-kernels", "rogs-weights", "rogs-splat"],
+            "rogs-stage1" | "rogs-stage2" => &["rogs-schemas", "rogs-kernels", "rogs-weights", "rogs-tensors"],
+            "rogs-lpips" => &["rogs-kernels", "rogs-weights", "rogs-tensors"],
+            "rogs-orchestrator" => &["rogs-schemas", "rogs-random"],
+            "rogs-report" => &["rogs-schemas", "rogs-orchestrator", "rogs-pages", "rogs-score"],
+            _ => &[
+                "rogs-schemas",
+                "rogs-random",
+                "rogs-flat-exr",
+                "rogs-pages",
+                "rogs-geometry",
+                "rogs-splat",
+                "rogs-kernels",
+                "rogs-weights",
+                "rogs-tensors",
+                "rogs-stage1",
+                "rogs-stage2",
+                "rogs-lpips",
+                "rogs-worker",
+            ],
+        }
+    };
+    for (name, dependencies) in own_dependencies() {
+        if name == "rogs" {
+            continue; // the command line carries everything
+        }
+        for dependency in dependencies {
+            // The report shows the tables that scoring makes.
+            if name == "rogs-report" && dependency == "rogs-score" {
+                continue;
+            }
+            // Training runs the generator and the stages up to refinement in memory.
+            if name == "rogs-train" && (dependency == "rogs-synth" || is_stage(&dependency)) {
+                continue;
+            }
+            assert!(!is_stage(&dependency), "`{name}` depends on the stage `{dependency}`");
+            assert!(
+                allowed(&name).contains(&dependency.as_str()),
+                "`{name}` must not depend on `{dependency}`"
+            );
+        }
+    }
+}
+
+#[test]
+fn only_the_codec_names_bincode() {
+    for path in sources() {
+        if path.ends_with("schemas/src/r4c/codec.rs") {
+            continue;
+        }
+        for (line, code) in code_lines(&path) {
+            assert!(!code.contains("bincode::"), "{}:{line} names bincode", path.display());
+        }
+    }
+}
+
+#[test]
+fn only_units_knows_the_scale() {
+    let scale = |code: &str| {
+        // A literal 3.5 that is a number of its own, not part of 13.5 or 3.54.
+        code.match_indices("3.5").any(|(at, _)| {
+            let before = code[..at].chars().next_back();
+            let after = code[at + 3..].chars().next();
+            let digit = |c: Option<char>| c.is_some_and(|c| c.is_ascii_digit() || c == '.' || c == '_');
+            !digit(before) && !digit(after)
+        })
+    };
+    for path in sources() {
+        // Procedural scenes have lengths of their own, in metres.
+        if path.ends_with("schemas/src/units.rs") || path.starts_with(root().join("tools/synth")) {
+            continue;
+        }
+        for (line, code) in code_lines(&path) {
+            let quoted = code.contains('"');
+            assert!(
+                quoted || !scale(&code),
+                "{}:{line} writes the internal scale again: {code}",
+                path.display()
+            );
+        }
+    }
+}
