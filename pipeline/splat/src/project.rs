@@ -540,7 +540,7 @@ fn log2_upper(x: f32) -> f32 {
     exponent + ((-0.335_828_78 * m + 2.0) * m - 1.658_710) + 0.006
 }
 
-/// Sections 3 to 5 of the reference for sixteen Gaussians, without branches.
+/// `docs/spec/rasteriser.md` sections 3 to 5 for sixteen Gaussians, without branches.
 #[inline(always)]
 fn project_lanes(block: &Block, view: &View, config: &RasterConfig, tile: f32, out: &mut BlockOut) {
     let View {

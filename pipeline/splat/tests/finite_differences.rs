@@ -197,7 +197,7 @@ fn loss(layout: &Layout, all: &[f64], camera: &Camera, config: &RasterConfig, we
     total
 }
 
-/// The formulas of section 8 in float64.
+/// The formulas of `docs/spec/rasteriser.md` section 8 in f64.
 fn harmonics(x: f64, y: f64, z: f64) -> [f64; 16] {
     let (xx, yy, zz) = (x * x, y * y, z * z);
     [

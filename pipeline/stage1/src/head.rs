@@ -446,7 +446,7 @@ impl DenseHead {
     }
 }
 
-/// The FK-conditioning residual branch: three 3x3 convolutions, the last zero at the start (section 11).
+/// The FK-conditioning residual branch (`docs/spec/stage1.md` section 11): three 3x3 convolutions, the last zero at first.
 #[derive(Debug, Clone)]
 pub struct FkBranch {
     layers: [Conv; 3],

@@ -193,7 +193,7 @@ pub fn fk_branch(config: &Stage1Config) -> Vec<ParameterSpec> {
     list.0
 }
 
-/// The parameters of a latent adapter for a network of this configuration (section 13).
+/// The parameters of a latent adapter for a network of this configuration (`docs/spec/stage1.md` section 13).
 #[must_use]
 pub fn adapter(config: &Stage1Config, blocks: usize) -> Vec<ParameterSpec> {
     let mut list = List::default();
@@ -215,7 +215,8 @@ pub fn adapter(config: &Stage1Config, blocks: usize) -> Vec<ParameterSpec> {
     list.0
 }
 
-/// The low-rank parameters on the QKV and output projections of frame and global blocks (section 9).
+/// The low-rank parameters on the QKV and output projections of frame and global blocks (`docs/spec/stage1.md`
+/// section 9).
 #[must_use]
 pub fn lora(config: &Stage1Config, rank: usize) -> Vec<ParameterSpec> {
     let mut list = List::default();

@@ -59,8 +59,9 @@ pub fn gather_features(maps: &FeatureMaps, height: usize, width: usize, block: u
     out
 }
 
-/// The part of ReSplat's initial network behind its depth network (section A.7), the alternative observation encoder:
-/// convolutional regressor, projection, and neighbour attention in alternation with multi-view attention.
+/// The part of ReSplat's initial network behind its depth network (`docs/spec/stage2.md` section A.7), another
+/// observation encoder: convolutional regressor, projection, and neighbour attention in alternation with multi-view
+/// attention.
 pub struct ObservationTrunkTail {
     regressor: [Conv; 2],
     projection: Linear,

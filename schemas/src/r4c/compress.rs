@@ -9,7 +9,7 @@ use zstd::bulk::{Compressor, Decompressor};
 use super::stream::{Codec, Dtype};
 use super::transpose;
 
-/// Level of every frame. Level 6 costs much time for nothing (`performance.md` section 7).
+/// Level of every frame. On Gaussians level 6 compressed 2.6 times as slowly, to a file no smaller.
 const LEVEL: i32 = 3;
 
 /// Bytes with NaN payloads and signs removed, so that equal fields give equal files. -0.0 stays.

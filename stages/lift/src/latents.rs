@@ -284,6 +284,6 @@ impl LatentFile {
 
     fn bad(&self, what: String) -> StageError {
         StageError::bad_input(format!("latents `{}`: {what}", self.name))
-            .with_hint("the file contract is in the documentation of `rogs_lift::latents`")
+            .with_hint("docs/latents-format.md says what such a file holds")
     }
 }

@@ -1,4 +1,5 @@
-//! Sections 9.3 to 9.6: from the sums over pixels to the parameters of the Gaussians and the camera.
+//! `docs/spec/rasteriser.md` sections 9.3 to 9.6: from the sums over pixels to the parameters of the Gaussians and the
+//! camera.
 //!
 //! Sixteen Gaussians at a time, in plain lane loops that the compiler vectorises (see `project`).
 

@@ -1,4 +1,4 @@
-//! Section 9.2 for one tile, from back to front.
+//! `docs/spec/rasteriser.md` section 9.2 for one tile, from back to front.
 
 use pulp::{Simd, WithSimd};
 

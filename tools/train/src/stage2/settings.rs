@@ -1,4 +1,4 @@
-//! Settings of a Stage-2 run; defaults are those of the specification (`docs/spec/stage2.md` section B.8).
+//! Settings of a Stage-2 run; `docs/spec/stage2.md` section B.8 has the defaults and those of the paper.
 
 use std::path::{Path, PathBuf};
 

@@ -1,0 +1,234 @@
+//! What code and pages say of each other: named pages, cited sections, links, and the names in `docs/equations.md` exist.
+
+mod text;
+
+use text::{File, Page, cited, files, flat, joined, meant, mentions, pages, prose, root};
+
+/// Widest line of prose.
+const WIDTH: usize = 120;
+
+fn assert_none(wrong: &[String], what: &str) {
+    assert!(wrong.is_empty(), "{what}:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn named_pages_and_cited_sections_exist() {
+    let files = files();
+    let pages = pages(&files);
+    let (mut wrong, mut sections) = (Vec::new(), 0);
+    for file in files.iter().filter(|file| !file.path.starts_with("tests/documents")) {
+        let text = flat(file);
+        for (name, behind) in mentions(&text) {
+            let Some(page) = meant(&pages, file, name) else {
+                wrong.push(format!("{}: there is no `{name}`", file.path.display()));
+                continue;
+            };
+            if let Some(anchor) = behind.strip_prefix('#') {
+                let end = anchor.find(|c: char| !(c.is_alphanumeric() || c == '-' || c == '_'));
+                let anchor = &anchor[..end.unwrap_or(anchor.len())];
+                if !page.anchors.contains(anchor) {
+                    wrong.push(format!("{}: `{name}` has no `#{anchor}`", file.path.display()));
+                }
+            }
+            for number in cited(behind) {
+                sections += 1;
+                if !page.sections.contains(&number) {
+                    wrong.push(format!("{}: `{name}` has no section {number}", file.path.display()));
+                }
+            }
+        }
+    }
+    assert_none(&wrong, "pages or sections that do not exist");
+    assert!(sections > 100, "citations are not found any more: {sections}");
+}
+
+/// Targets of the links and pictures of a page, with their lines.
+fn links(text: &str) -> Vec<(usize, String)> {
+    let mut out = Vec::new();
+    for (number, line) in prose(text) {
+        // What is between backquotes is code.
+        let spoken: String = line.split('`').step_by(2).collect::<Vec<_>>().join("x");
+        for (at, _) in spoken.match_indices("](") {
+            let target = &spoken[at + 2..];
+            out.push((number, target[..target.find(')').unwrap_or(target.len())].to_owned()));
+        }
+        for attribute in ["src=\"", "href=\""] {
+            for (at, _) in spoken.match_indices(attribute) {
+                let target = spoken[at + attribute.len()..].split('"').next().unwrap_or_default();
+                out.push((number, target.to_owned()));
+            }
+        }
+    }
+    out
+}
+
+#[test]
+fn links_lead_somewhere() {
+    let files = files();
+    let pages = pages(&files);
+    let mut wrong = Vec::new();
+    for file in files.iter().filter(|file| file.is_page()) {
+        for (line, target) in links(&file.text) {
+            if target.contains("://") || target.starts_with("mailto:") {
+                continue;
+            }
+            let (path, anchor) = target.split_once('#').unwrap_or((&target, ""));
+            let place = match path {
+                "" => Some(file.path.clone()),
+                path => joined(file.folder(), path),
+            };
+            let place = place.filter(|place| root().join(place).exists());
+            let known = place.as_ref().is_some_and(|place| {
+                anchor.is_empty() || pages.get(place).is_some_and(|page| page.anchors.contains(anchor))
+            });
+            if !known {
+                wrong.push(format!("{}:{line}: `{target}`", file.path.display()));
+            }
+        }
+    }
+    assert_none(&wrong, "links that lead nowhere");
+}
+
+/// Whether a file of Rust defines a name: a function, a type or a constant; a test, where one is asked for.
+fn defines(text: &str, name: &str, test: bool) -> bool {
+    let lines: Vec<&str> = text.lines().collect();
+    let begins = |line: &str| {
+        let found = |word: &str| {
+            line.match_indices(&format!("{word} {name}")).any(|(at, all)| {
+                let before = line[..at].chars().next_back();
+                let after = line[at + all.len()..].chars().next();
+                let word = |c: Option<char>| c.is_some_and(|c| c.is_alphanumeric() || c == '_');
+                !word(before) && !word(after)
+            })
+        };
+        ["fn", "struct", "enum", "trait", "const", "type"]
+            .iter()
+            .any(|word| found(word))
+    };
+    let is_test = |index: usize| {
+        let above = lines[..index].iter().rev().map(|line| line.trim());
+        above
+            .take_while(|line| line.starts_with('#') || line.starts_with("//"))
+            .any(|line| line.starts_with("#[test"))
+    };
+    let is_comment = |line: &str| line.trim_start().starts_with("//");
+    let mut numbered = lines.iter().enumerate();
+    numbered.any(|(index, line)| !is_comment(line) && begins(line) && (!test || is_test(index)))
+}
+
+/// Whether some source defines `module::Type::name`: every module is a part of its path, every type is defined there.
+fn is_in_the_sources(sources: &[&File], name: &str, test: bool) -> bool {
+    let mut parts: Vec<&str> = name.split("::").collect();
+    let last = parts.pop().unwrap_or_default();
+    sources.iter().any(|file| {
+        let path = file.path.with_extension("");
+        let folders: Vec<String> = path
+            .iter()
+            .map(|part| part.to_string_lossy().replace('-', "_"))
+            .collect();
+        let known = |part: &&str| {
+            let is_module = folders.iter().any(|folder| folder == part);
+            is_module || (part.starts_with(char::is_uppercase) && defines(&file.text, part, false))
+        };
+        file.text.contains(last) && parts.iter().all(known) && defines(&file.text, last, test)
+    })
+}
+
+#[test]
+fn functions_and_tests_of_the_paper_s_equations_exist() {
+    let files = files();
+    let page = files
+        .iter()
+        .find(|file| file.path.ends_with("docs/equations.md"))
+        .unwrap();
+    let is_source = |file: &&File| file.path.extension().is_some_and(|ending| ending == "rs");
+    let sources: Vec<&File> = files.iter().filter(is_source).collect();
+    let (mut wrong, mut names) = (Vec::new(), 0);
+    for (line, row) in prose(&page.text).filter(|(_, line)| line.starts_with("| ")) {
+        let cells: Vec<&str> = row.trim_matches('|').split('|').collect();
+        for (column, test) in [(1, false), (2, true)] {
+            let cell = cells.get(column).copied().unwrap_or_default();
+            for name in cell.split('`').skip(1).step_by(2) {
+                names += 1;
+                if !is_in_the_sources(&sources, name, test) {
+                    wrong.push(format!("{}:{line}: {name}", page.path.display()));
+                }
+            }
+        }
+    }
+    assert_none(&wrong, "functions or tests that do not exist");
+    assert!(names > 150, "names are not found any more: {names}");
+}
+
+/// Lines of prose that are too wide: neither wrapped nor, in their paragraph, one sentence each.
+fn wide_lines(text: &str) -> Vec<usize> {
+    let is_free = |line: &str| line.starts_with(['|', '#', '<']) || line.starts_with("![") || line.starts_with("    ");
+    let width = |line: &str| {
+        // The target of a link cannot be broken.
+        let parts = line.split("](").enumerate();
+        let spoken = parts.map(|(index, part)| match (index, part.split_once(')')) {
+            (1.., Some((_, rest))) => rest.chars().count() + 1,
+            _ => part.chars().count(),
+        });
+        spoken.sum::<usize>()
+    };
+    let mut wide = Vec::new();
+    let mut paragraph: Vec<(usize, &str)> = Vec::new();
+    let mut close = |paragraph: &mut Vec<(usize, &str)>| {
+        let ends = |line: &str| {
+            line.trim_end_matches(['*', '_', '`', ')', '"'])
+                .ends_with(['.', ':', '!', '?'])
+        };
+        if !paragraph.iter().all(|(_, line)| ends(line)) {
+            wide.extend(
+                paragraph
+                    .iter()
+                    .filter(|(_, line)| width(line) > WIDTH)
+                    .map(|(number, _)| *number),
+            );
+        }
+        paragraph.clear();
+    };
+    for (number, line) in prose(text) {
+        if line.trim().is_empty() || is_free(line) {
+            close(&mut paragraph);
+        } else {
+            paragraph.push((number, line));
+        }
+    }
+    close(&mut paragraph);
+    wide
+}
+
+#[test]
+fn prose_is_wrapped() {
+    let mut wrong = Vec::new();
+    let own = |file: &&File| file.path.starts_with("docs/spec") || file.path.ends_with("docs/equations.md");
+    for file in files().iter().filter(own) {
+        let lines = wide_lines(&file.text).into_iter();
+        wrong.extend(lines.map(|line| format!("{}:{line}", file.path.display())));
+    }
+    assert_none(&wrong, "lines wider than 120 columns");
+}
+
+#[test]
+fn citations_are_read_as_people_write_them() {
+    let sections = |text: &str| cited(text).join(" ");
+    assert_eq!(sections("` section 7)."), "7");
+    assert_eq!(sections("` sections 9.3 to 9.5"), "9.3 9.5");
+    assert_eq!(sections("` sections A.7 and A.9)."), "a.7 a.9");
+    assert_eq!(sections("`, part B)."), "b");
+    assert_eq!(sections("` A.4)."), "a.4");
+    assert_eq!(sections(" section 10](rasteriser.md#10-contribution-sums)"), "10");
+    assert_eq!(sections("` A field keeps"), "");
+    assert_eq!(sections("` has them"), "");
+    let found = mentions("see docs/a.md, `b.md` and https://x.org/c.md, not docs/*.md");
+    let names: Vec<&str> = found.iter().map(|(name, _)| *name).collect();
+    assert_eq!(names, ["docs/a.md", "b.md"]);
+    let page = Page::new("# T\n## 5.5 `rogs.x`: the y\n```\n# no\n```\n## T");
+    let anchors: Vec<&str> = page.anchors.iter().map(String::as_str).collect();
+    assert_eq!(anchors, ["55-rogsx-the-y", "t", "t-1"]);
+    let wide = format!("{}\nshort line that goes on\n", "word ".repeat(30));
+    assert_eq!(wide_lines(&wide), [1]);
+    assert_eq!(wide_lines(&format!("{}.\n", "word ".repeat(30))), []);
+}
