@@ -19,7 +19,7 @@ fn named_pages_and_cited_sections_exist() {
     for file in files.iter().filter(|file| !file.path.starts_with("tests/documents")) {
         let text = flat(file);
         for (name, behind) in mentions(&text) {
-            let Some(page) = meant(&pages, file, name) else {
+            let Some(page) = meant(&pages, file, name, behind) else {
                 wrong.push(format!("{}: there is no `{name}`", file.path.display()));
                 continue;
             };

@@ -160,15 +160,14 @@ pub(crate) fn mentions(text: &str) -> Vec<(&str, &str)> {
     text.match_indices(".md").filter_map(mention).collect()
 }
 
-/// The page that a name means: from the root, from a folder above the file, or, in pages, from `docs` and `docs/spec`.
-pub(crate) fn meant<'a>(pages: &'a BTreeMap<PathBuf, Page>, file: &File, name: &str) -> Option<&'a Page> {
-    let documents = if file.is_page() {
-        &["docs", "docs/spec"][..]
-    } else {
-        &[]
-    };
+/// The page that a name means: from the root, or from a folder above the file. In the words of a link it is the page that
+/// the link leads to.
+pub(crate) fn meant<'a>(pages: &'a BTreeMap<PathBuf, Page>, file: &File, name: &str, behind: &str) -> Option<&'a Page> {
+    let words = behind
+        .split_once("](")
+        .filter(|(words, _)| file.is_page() && !words.contains(['[', '(']));
+    let name = words.map_or(name, |(_, target)| target.split([')', '#']).next().unwrap_or_default());
     let folders = [Path::new("")].into_iter().chain(file.folder().ancestors());
-    let folders = folders.chain(documents.iter().map(Path::new));
     let paths = folders.filter_map(|folder| joined(folder, name));
     paths.into_iter().find_map(|path| pages.get(&path))
 }
