@@ -63,7 +63,11 @@ fn python_reads_the_same_bytes() {
     }
     for name in ["clip", "robot", "conditioning", "field", "refinement", "scores"] {
         let path = golden(&format!("{name}-1.0.r4c"));
-        let output = Command::new(&python).args([&script, &path]).arg("--hex").output().unwrap();
+        let output = Command::new(&python)
+            .args([&script, &path])
+            .arg("--hex")
+            .output()
+            .unwrap();
         assert!(
             output.status.success(),
             "{name}: {}",
