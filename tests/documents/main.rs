@@ -2,7 +2,9 @@
 
 mod text;
 
-use text::{File, Page, cited, files, flat, joined, meant, mentions, pages, prose, root};
+use std::path::Path;
+
+use text::{FOLDERS, File, Page, cited, files, flat, joined, meant, mentions, pages, prose, root};
 
 /// Widest line of prose.
 const WIDTH: usize = 120;
@@ -87,6 +89,24 @@ fn links_lead_somewhere() {
         }
     }
     assert_none(&wrong, "links that lead nowhere");
+}
+
+#[test]
+fn files_that_pages_name_exist() {
+    let mut wrong = Vec::new();
+    for file in files().iter().filter(|file| file.is_page()) {
+        for (number, line) in prose(&file.text) {
+            for name in line.split('`').skip(1).step_by(2) {
+                let path = Path::new(name);
+                let ending = path.extension().and_then(|ending| ending.to_str());
+                let is_ours = FOLDERS.iter().any(|folder| path.starts_with(folder)) && !name.contains(['*', '{', ' ']);
+                if is_ours && matches!(ending, Some("rs" | "toml" | "py" | "json")) && !root().join(path).exists() {
+                    wrong.push(format!("{}:{number}: `{name}`", file.path.display()));
+                }
+            }
+        }
+    }
+    assert_none(&wrong, "files that do not exist");
 }
 
 /// Whether a file of Rust defines a name: a function, a type or a constant; a test, where one is asked for.
