@@ -15,12 +15,12 @@ use support::Workspace;
 fn export(clip_folder: &Path, out: &Path) {
     let (clip, _) = read_record::<Clip>(&clip_folder.join("clip.r4c")).unwrap();
     let (field, _) = read_record::<Field>(&clip_folder.join("field-1.r4c")).unwrap();
-    let timed = rogs_splat::field::TimedField::new(&field).unwrap();
+    let timed = rogs_field::TimedField::new(&field).unwrap();
     std::fs::create_dir_all(out).unwrap();
     let anchor = clip.tracks.as_ref().map(|tracks| tracks.anchor_frame);
     for frame in clip.query_frames.iter().copied().chain(anchor) {
         let time = time_of_frame(frame, clip.frame_count());
-        rogs_splat::ply::export_field(&timed, time, &out.join(format!("frame-{frame}.ply"))).unwrap();
+        rogs_field::ply::export_field(&timed, time, &out.join(format!("frame-{frame}.ply"))).unwrap();
     }
 }
 

@@ -1,5 +1,6 @@
 //! Pinhole cameras and the settings of a render.
 
+use rogs_schemas::units::UNITS_PER_METRE;
 use rogs_schemas::{Intrinsics, RigidPose};
 use serde::{Deserialize, Serialize};
 
@@ -263,4 +264,9 @@ impl View {
             centre: [column(0) as f32, column(1) as f32, column(2) as f32],
         }
     }
+}
+/// A camera for the Gaussians of a field, from its pose in the reconstruction frame in metres.
+#[must_use]
+pub fn field_camera(width: u32, height: u32, intrinsics: &Intrinsics, camera_from_recon: &RigidPose) -> Camera {
+    Camera::new(width, height, intrinsics, camera_from_recon, UNITS_PER_METRE)
 }

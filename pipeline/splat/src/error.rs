@@ -1,6 +1,4 @@
-//! Errors of the rasteriser, the fields and the PLY files.
-
-use std::path::PathBuf;
+//! Errors of the rasteriser.
 
 /// Result of this crate.
 pub type Result<T> = std::result::Result<T, SplatError>;
@@ -29,35 +27,11 @@ pub enum SplatError {
         /// The value found.
         value: String,
     },
-    /// A field is asked for something that it does not hold, or its arrays contradict each other.
-    #[error("field of clip `{clip}`: {what}")]
-    Field {
-        /// Clip id of the field.
-        clip: String,
-        /// What is wrong.
-        what: String,
-    },
-    /// A PLY file that is not a 3DGS PLY, or is damaged.
-    #[error("not a readable 3DGS PLY: {what}")]
-    Ply {
-        /// What is wrong and where.
-        what: String,
-    },
     /// There is no graphics processor, or it cannot do what was asked.
     #[error("graphics processor: {what}")]
     Gpu {
         /// What is wrong.
         what: String,
-    },
-    /// The operating system refused.
-    #[error("{action} `{}`", path.display())]
-    Io {
-        /// What was tried.
-        action: &'static str,
-        /// The file.
-        path: PathBuf,
-        /// Why it failed.
-        source: std::io::Error,
     },
 }
 

@@ -1,11 +1,10 @@
-//! Gaussian fields, spherical harmonics and the differentiable rasteriser.
+//! Gaussians, spherical harmonics and the differentiable rasteriser.
 //!
 //! [`render()`] draws a scene of 3D [`Gaussians`] into a [`Camera`]: colour, accumulated opacity, expected depth and any
 //! number of further channels, all with the same compositing weights. [`render_with_tape`] and [`backward`](fn@backward)
 //! give the gradients of all outputs with respect to everything that went in, the camera pose included.
 //! [`render_views_with_contributions`] records the compositing weights of chosen Gaussians sparsely and pools pixel
-//! features with them (Stage 2). [`TimedField`] turns a stored field, with or without the corrections of Stage 2, into
-//! Gaussians at a stored time; [`ply`] reads and writes 3DGS PLY files. The rules are those of
+//! features with them (Stage 2). What a Gaussian of a field is, is not known here (`rogs_field`). The rules are those of
 //! `docs/spec/rasteriser.md`.
 //!
 //! Results are equal bit for bit for every number of threads, every tile size and every instruction set. Gaussians with
@@ -47,13 +46,11 @@ pub mod backward;
 pub mod camera;
 pub mod contributions;
 pub mod error;
-pub mod field;
 pub mod gaussians;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 mod moved;
 mod order;
-pub mod ply;
 mod project;
 pub mod raster_device;
 pub mod render;
@@ -66,16 +63,14 @@ pub use backward::{
     Gradients, PoseGradient, RenderGradient, Tape, backward, backward_into, backward_views, render_views_with_tape,
     render_with_tape,
 };
-pub use camera::{Camera, Mode, RasterConfig};
+pub use camera::{Camera, Mode, RasterConfig, field_camera};
 pub use contributions::{
     Contributions, Eligible, pool_in_parts, render_views_with_contributions, render_with_contributions,
 };
 pub use error::{Result, SplatError};
-pub use field::{TimedField, field_camera};
 pub use gaussians::{Colour, Gaussians};
 #[cfg(feature = "gpu")]
 pub use gpu::{GpuContributions, GpuDevice, GpuScene, GpuTape};
-pub use ply::{Axes, PlyScene, export_field, export_field_in, read_ply, read_ply_file, write_ply};
 pub use raster_device::{RasterContributions, RasterDevice, RasterTape};
 pub use render::{Counts, Render, render, render_views};
 pub use simd::SimdLevel;

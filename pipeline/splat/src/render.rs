@@ -1,6 +1,7 @@
 //! Rendering of a scene: projection, tiles, image.
 
 use rayon::prelude::*;
+use rogs_schemas::units::m_from_iu;
 
 use crate::camera::{ALPHA_FLOOR, Camera, RasterConfig, View};
 use crate::error::{Result, SplatError};
@@ -33,6 +34,14 @@ pub struct Render {
     pub extra: Vec<f32>,
     /// What became of the Gaussians.
     pub counts: Counts,
+}
+
+impl Render {
+    /// Expected depth in metres of a render in internal units. `[H, W]`
+    #[must_use]
+    pub fn depth_expected_m(&self) -> Vec<f32> {
+        self.depth_expected.iter().map(|&d| m_from_iu(d)).collect()
+    }
 }
 
 /// What became of the Gaussians of a render.

@@ -5,7 +5,8 @@
 mod support;
 
 use burn::tensor::{Device, FloatDType, Tensor};
-use rogs_stage1::decode::{MotionGates, gate_attributes};
+use rogs_field::MotionGates;
+use rogs_stage1::decode::gate_attributes;
 use rogs_stage1::head::FkBranch;
 use rogs_tensors::device;
 use support::network::{ATTRIBUTES, frames, run};

@@ -5,7 +5,8 @@ mod support;
 use std::collections::BTreeMap;
 
 use burn::tensor::{Device, Tensor};
-use rogs_stage1::decode::{self, MotionGates, gate_attributes};
+use rogs_field::{MotionGates, attributes};
+use rogs_stage1::decode::{self, gate_attributes};
 use rogs_stage1::head::FkBranch;
 use rogs_stage1::{HeadKind, Precision, losses};
 use rogs_tensors::parameters::Parameters;
@@ -214,20 +215,20 @@ fn rasterizer_inputs() {
             .collect();
         let points = camera.unproject(&depth, 28, 42);
         for pixel in 0..area {
-            let opacity = decode::opacity(golden.values("in.motion_opacity_t1")[frame * area + pixel]);
+            let opacity = attributes::opacity(golden.values("in.motion_opacity_t1")[frame * area + pixel]);
             if opacity <= 0.001 {
                 continue;
             }
             opacities.push(opacity);
             means.extend((0..3).map(|axis| points[3 * pixel + axis] + motion[(frame * 3 + axis) * area + pixel]));
-            quats.extend(decode::rotation(std::array::from_fn(|k| {
+            quats.extend(attributes::rotation(std::array::from_fn(|k| {
                 raw("rotation", 4, k, frame, pixel)
             })));
             scales.extend((0..3).map(|k| {
-                decode::scale_iu(raw("scale", 3, k, frame, pixel))
+                attributes::scale_iu(raw("scale", 3, k, frame, pixel))
                     / golden.values("rasterizer.scales")[scales_len(&opacities) + k]
             }));
-            colors.extend((0..3).map(|k| decode::color(raw("color", 3, k, frame, pixel))));
+            colors.extend((0..3).map(|k| attributes::colour(raw("color", 3, k, frame, pixel))));
         }
     }
     close("means", &means, golden.values("rasterizer.means"), 1e-5);

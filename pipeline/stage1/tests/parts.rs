@@ -7,6 +7,7 @@ use rogs_kernels::RotaryTable;
 use rogs_stage1::adapter::{LatentAdapter, to_token_cells};
 use rogs_stage1::geometry::encode_time;
 use rogs_stage1::positions::{head_positions, resample_positions, resampling_matrix};
+use rogs_field::attributes;
 use rogs_stage1::{Attention, FramePose, HeadKind, Stage1, decode, distillation};
 use rogs_tensors::ops::{Linear, Rotary, standardise};
 use rogs_tensors::parameters::{Parameters, from_host};
@@ -211,10 +212,15 @@ fn activations() {
     };
     let each =
         |name: &str, function: fn(f32) -> f32| golden.values(name).iter().map(|&raw| function(raw)).collect::<Vec<_>>();
-    close("color", &each("raw", decode::color), golden.values("color"), 1e-6);
-    close("opacity", &each("raw", decode::opacity), golden.values("opacity"), 1e-6);
+    close("color", &each("raw", attributes::colour), golden.values("color"), 1e-6);
+    close(
+        "opacity",
+        &each("raw", attributes::opacity),
+        golden.values("opacity"),
+        1e-6,
+    );
     for (input, output) in [("raw", "scale"), ("scale_big_in", "scale_big_out")] {
-        let ratio: Vec<f32> = each(input, decode::scale_iu)
+        let ratio: Vec<f32> = each(input, attributes::scale_iu)
             .iter()
             .zip(golden.values(output))
             .map(|(a, b)| a / b)
@@ -230,7 +236,7 @@ fn activations() {
     let quaternions: Vec<f32> = golden
         .values("quat_in")
         .chunks_exact(4)
-        .flat_map(|q| decode::rotation([q[0], q[1], q[2], q[3]]))
+        .flat_map(|q| attributes::rotation([q[0], q[1], q[2], q[3]]))
         .collect();
     close("quat", &quaternions, golden.values("quat_out"), 1e-6);
     let raw = golden.values("raw");

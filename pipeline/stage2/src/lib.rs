@@ -4,12 +4,11 @@
 //! The frozen half ([`ErrorEncoder`]: ResNet-18 front and multi-view attention) runs on slice kernels,
 //! because nothing is ever differentiated through it. The trained half ([`Updater`]: observation projection, input
 //! layer, neighbour-attention blocks, head, gates) is made of tensor operations, so that training differentiates the
-//! very code that inference runs. [`Correction`] holds what they produce, in the parameterisation of Stage 1.
+//! very code that inference runs. [`rogs_field::Correction`] holds what they produce.
 //!
 //! Lengths are internal units (3.5 per metre) unless a name ends in `_m`.
 
 pub mod config;
-pub mod correction;
 pub mod error_encoder;
 mod host_updater;
 pub mod import;
@@ -26,7 +25,6 @@ pub mod weights;
 
 pub use burn::tensor::Device;
 pub use config::RefinerConfig;
-pub use correction::{Correction, GateGroup, POSITION_BOUND_M};
 pub use error_encoder::ErrorEncoder;
 pub use import::read_weights;
 pub use knn::nearest_neighbours;

@@ -106,26 +106,3 @@ impl Field {
         self.slices.iter().find(|slice| slice.time == time)
     }
 }
-
-impl TimeSlice {
-    /// Raw attributes of every Gaussian at this time: query-time values where the gate is open, base values elsewhere.
-    /// `[N, RAW_CHANNELS]`
-    #[must_use]
-    pub fn raw(&self, base_raw: &[f32]) -> Vec<f32> {
-        let mut raw = base_raw.to_vec();
-        let mut moving = self.moving_raw.chunks_exact(RAW_CHANNELS);
-        for (attributes, &gate) in raw.chunks_exact_mut(RAW_CHANNELS).zip(&self.gate) {
-            if gate == 0 {
-                continue;
-            }
-            let Some(values) = moving.next() else { break };
-            if gate & GATE_ATTRIBUTES != 0 {
-                attributes[..10].copy_from_slice(&values[..10]);
-            }
-            if gate & GATE_OPACITY != 0 {
-                attributes[10] = values[10];
-            }
-        }
-        raw
-    }
-}

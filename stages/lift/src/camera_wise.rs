@@ -5,6 +5,7 @@
 //! back-projected stereo points of its source frames from that first camera. So the network sees the scene of unit size
 //! that it was released for. Its field then is multiplied by that scale and carried to the reconstruction frame.
 
+use rogs_field::attributes::rescaled;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::{RAW_CHANNELS, TimeSlice};
 use rogs_schemas::units::UNITS_PER_METRE;
@@ -13,11 +14,6 @@ use rogs_worker::{StageError, StageResult};
 use crate::lifting::{Base, MotionHeads, lift_base, quaternion_product};
 use crate::source::{Source, View};
 use crate::{LiftParams, Model, Phases, Work, lift_slices, stage_error};
-
-/// Scale of an activated raw scale: `SCALE_STEP softplus(raw)` (`docs/spec/stage1.md` section 7).
-const SCALE_STEP: f64 = 0.001;
-/// Largest activated scale, internal units.
-const MAX_SCALE: f64 = 0.3;
 
 /// From the frame and unit of one camera's lifting to the reconstruction frame in internal units.
 #[derive(Debug, Clone, Copy)]
@@ -188,45 +184,10 @@ impl Similarity {
     }
 }
 
-/// The raw scale whose activation is `factor` times that of `raw`, at most the largest there is.
-fn rescaled(raw: f32, factor: f64) -> f32 {
-    let raw = f64::from(raw);
-    // softplus without overflow: max(x, 0) + ln(1 + e^-|x|)
-    let softplus = raw.max(0.0) + libm::log1p(libm::exp(-raw.abs()));
-    let scale = (factor * (SCALE_STEP * softplus).min(MAX_SCALE)).min(MAX_SCALE);
-    let target = scale / SCALE_STEP;
-    // Its inverse: y + ln(1 - e^-y).
-    (target + libm::log(-libm::expm1(-target))) as f32
-}
-
 /// Unit quaternion (w, x, y, z) of a rotation matrix.
 fn quaternion_of(rotation: &[f64; 9]) -> [f32; 4] {
     let r = rotation;
     let matrix = glam::DMat3::from_cols_array(&[r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]]);
     let q = glam::DQuat::from_mat3(&matrix);
     [q.w as f32, q.x as f32, q.y as f32, q.z as f32]
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rescaled_raw_values_activate_to_rescaled_scales() {
-        let activated = |raw: f32| (SCALE_STEP * (1.0 + f64::from(raw).exp()).ln()).min(MAX_SCALE);
-        for raw in [-8.0f32, -1.0, 0.0, 0.5, 3.0, 40.0] {
-            for factor in [0.25, 1.0, 3.5] {
-                let (found, expected) = (activated(rescaled(raw, factor)), factor * activated(raw));
-                assert!(
-                    (found / expected - 1.0).abs() < 1e-5,
-                    "{raw} {factor}: {found} {expected}"
-                );
-            }
-        }
-        assert!(
-            (activated(rescaled(290.0, 3.5)) - MAX_SCALE).abs() < 1e-6,
-            "the ceiling holds"
-        );
-        assert!(rescaled(-200.0, 2.0) < -80.0, "tiny scales stay tiny");
-    }
 }

@@ -4,11 +4,12 @@ use std::sync::OnceLock;
 
 use burn::tensor::{Device, Tensor};
 use rayon::prelude::*;
+use rogs_field::MotionGates;
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 use rogs_schemas::records::field::{GATE_ATTRIBUTES, RAW_CHANNELS, TimeSlice};
 use rogs_schemas::records::robot::NO_LINK;
 use rogs_schemas::units::m_from_iu;
-use rogs_stage1::decode::{self, MotionGates, activate_depth};
+use rogs_stage1::decode::{self, activate_depth};
 use rogs_stage1::head::{DenseHead, FkBranch};
 use rogs_stage1::{Encoded, HeadKind, Stage1};
 use rogs_tensors::device;

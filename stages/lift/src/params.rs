@@ -1,7 +1,7 @@
 //! Parameters of the stage; the defaults are the paper's method.
 
+use rogs_field::gates::{MOTION_GATE_IU, MotionGates};
 use rogs_stage1::Precision;
-use rogs_stage1::decode::{MOTION_GATE_IU, MotionGates};
 use rogs_tensors::device;
 use rogs_worker::{StageError, StageResult};
 use schemars::JsonSchema;

@@ -223,7 +223,7 @@ fn a_seeded_field_is_a_plausible_still_picture() {
             assert!((0.5..2.0).contains(&z) && field.link[pixel] == NO_LINK && field.scale_cap_iu[pixel].is_infinite());
         }
         for channel in 0..3 {
-            let color = rogs_stage1::decode::color(raw[channel]);
+            let color = rogs_field::attributes::colour(raw[channel]);
             assert!(
                 (color - f32::from(rgb[3 * pixel + channel]) / 255.0).abs() < 0.12,
                 "pixel {pixel} channel {channel}"
@@ -318,7 +318,7 @@ fn kinematic_transport_moves_robot_pixels_with_their_link() {
     };
     let field = lift_with(&model(&params), &params, &inputs);
     let slice = field.slice_at(1.0).unwrap();
-    let raw = slice.raw(&field.base_raw);
+    let raw = rogs_field::raw_at(&field, slice);
     for pixel in 0..AREA {
         let d = &slice.displacement_m[3 * pixel..][..3];
         if field.support[pixel] == 0 {

@@ -12,12 +12,13 @@ mod support;
 use std::path::Path;
 
 use burn::tensor::Device;
+use rogs_field::TimedField;
 use rogs_refine::training::{AdamW, TrainingOptions, training_step};
 use rogs_refine::{LoadedRefiner, RefineParams, refine};
 use rogs_schemas::records::field::WeightsInfo;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::units::UNITS_PER_METRE;
-use rogs_splat::{Camera, RasterConfig, TimedField, render};
+use rogs_splat::{Camera, RasterConfig, render};
 use rogs_stage2::{Refiner, RefinerConfig, seeded_parameters};
 use support::{Example, Sizes, example_of};
 

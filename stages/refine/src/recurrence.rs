@@ -1,11 +1,11 @@
 //! What a refinement starts from, and its state between two updates.
 
+use rogs_field::Correction;
 use rogs_schemas::key::CacheKey;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::{Refinement, RefinementStep};
 use rogs_schemas::records::robot::RobotMaps;
-use rogs_stage2::Correction;
 
 /// The records of one clip.
 #[derive(Clone, Copy)]

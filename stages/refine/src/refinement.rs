@@ -2,13 +2,12 @@
 
 use std::time::{Duration, Instant};
 
+use rogs_field::{Correction, TimedField, raw_at};
 use rogs_schemas::records::field::{Field, NamedArray, RAW_CHANNELS};
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep};
 use rogs_schemas::units::iu_from_m;
-use rogs_splat::{
-    Contributions, Eligible, Gaussians, RasterConfig, Render, TimedField, render_views_with_contributions,
-};
-use rogs_stage2::{Correction, Plane, Refiner, TokenSet};
+use rogs_splat::{Contributions, Eligible, Gaussians, RasterConfig, Render, render_views_with_contributions};
+use rogs_stage2::{Plane, Refiner, TokenSet};
 use rogs_worker::{StageError, StageResult};
 
 use crate::recurrence::{ClipInputs, Recurrence, state_name};
@@ -191,7 +190,7 @@ fn token_set(
         let errors = errors.into_iter().map(|plane| plane.data).collect::<Vec<_>>().concat();
         contributions.pool(&errors, features).map_err(internal)?
     };
-    let raw = time.slice.raw(&field.base_raw);
+    let raw = raw_at(field, time.slice);
     let mut set = TokenSet::default();
     let per_token = time.grid.per_token();
     for token in 0..time.grid.len() {
@@ -292,7 +291,7 @@ fn record(
 }
 
 /// An error about the field.
-pub(crate) fn bad_field(error: rogs_splat::SplatError) -> StageError {
+pub(crate) fn bad_field(error: rogs_field::Error) -> StageError {
     StageError::bad_input(error.to_string())
 }
 

@@ -1,7 +1,7 @@
 //! Continuing from an earlier refinement.
 
+use rogs_field::Correction;
 use rogs_schemas::records::refinement::Refinement;
-use rogs_stage2::Correction;
 use rogs_worker::{StageError, StageResult};
 
 use crate::recurrence::{ClipInputs, Recurrence, state_name};

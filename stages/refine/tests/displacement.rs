@@ -3,11 +3,10 @@
 mod support;
 
 use proptest::prelude::*;
+use rogs_field::{Correction, TimedField};
 use rogs_refine::{RefineParams, refine};
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, RefinementStep, ScaleResidual};
-use rogs_splat::TimedField;
-use rogs_stage2::Correction;
 use rogs_stage2::weights::uniform;
 use support::{example, random_network};
 

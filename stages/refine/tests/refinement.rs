@@ -2,10 +2,10 @@
 
 mod support;
 
+use rogs_field::TimedField;
 use rogs_refine::{ClipInputs, RefineParams, load_refiner, refine};
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, ScaleResidual};
-use rogs_splat::TimedField;
 use support::{example, random_network};
 
 fn params(updates: u32) -> RefineParams {

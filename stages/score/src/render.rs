@@ -4,20 +4,20 @@
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
+use rogs_field::TimedField;
 use rogs_geometry::{Base, Camera, Pose, Recon};
 use rogs_schemas::records::clip::{Clip, time_of_frame};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::{RenderedView, TrackScore};
 use rogs_schemas::units::iu_from_m;
-use rogs_splat::field::TimedField;
-use rogs_splat::{Gaussians, RasterConfig, Render, SplatError};
+use rogs_splat::{Gaussians, RasterConfig, Render};
 use rogs_worker::{StageError, StageResult};
 
 use crate::measure::{MeasuredImage, measure_displacement, reference_depth, robot_tracks};
 use crate::metrics::{DisplacementMap, MIN_BLEND_WEIGHT, TrackSample, depth_support};
 use crate::outside::{ImagePredictions, OutsideError, OutsideField, stereo_scale};
 
-pub(crate) fn splat_error(error: SplatError) -> StageError {
+pub(crate) fn splat_error(error: impl std::fmt::Display) -> StageError {
     StageError::bad_input(error.to_string())
 }
 
@@ -194,7 +194,7 @@ impl Scene<'_> {
             FieldSource::Own { recon_from_base, .. } => (*recon_from_base * base_from_camera).inverse().to_rigid(),
             FieldSource::Outside(_) => base_from_camera.inverse().to_rigid(),
         };
-        Ok(rogs_splat::field::field_camera(
+        Ok(rogs_splat::field_camera(
             self.clip.width,
             self.clip.height,
             &view.intrinsics,
@@ -354,7 +354,7 @@ pub(crate) fn scale_to_source_depth(
             let pose: Pose<Base, Camera> = Pose::from_rigid(pose)
                 .map_err(|error| StageError::bad_input(format!("camera `{}`: {error}", view.id)))?;
             let pose = pose.inverse().to_rigid();
-            let camera = rogs_splat::field::field_camera(clip.width, clip.height, &view.intrinsics, &pose);
+            let camera = rogs_splat::field_camera(clip.width, clip.height, &view.intrinsics, &pose);
             let render = rogs_splat::render(&gaussians, &camera, &RasterConfig::default()).map_err(splat_error)?;
             let depth_m = ViewRender::new(&render).depth_m.unwrap_or_default();
             images.push((depth_m, reference, depth_support(reference, range_m)));

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use rayon::prelude::*;
+use rogs_field::TimedField;
 use rogs_geometry::{Base, Pose, Recon};
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::record::{Record, SchemaId};
@@ -13,7 +14,6 @@ use rogs_schemas::records::field::{Field, WeightsInfo};
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
-use rogs_splat::field::TimedField;
 use rogs_worker::{Context, Stage, StageError, StageResult};
 use serde::{Deserialize, Serialize};
 

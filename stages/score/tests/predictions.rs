@@ -6,9 +6,9 @@ mod support;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
+use rogs_field::TimedField;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
 use rogs_schemas::source::hash_source;
-use rogs_splat::field::TimedField;
 use serde_json::{Value, json};
 use support::{Bench, FRAMES, HEIGHT, LOOKING_ALONG_X, QUERIES, STEP_M, WIDTH, clip, field};
 
@@ -183,7 +183,7 @@ fn ply_files_have_the_scores_of_the_same_field_of_our_own() {
     let timed = TimedField::new(&field).unwrap();
     for frame in QUERIES {
         let path = folder.path().join(format!("frame-{frame:03}.ply"));
-        rogs_splat::ply::export_field(&timed, f64::from(frame) / (FRAMES - 1) as f64, &path).unwrap();
+        rogs_field::ply::export_field(&timed, f64::from(frame) / (FRAMES - 1) as f64, &path).unwrap();
     }
     let found = good(folder.path(), json!({"frame": "camera"}));
     let worst = difference(&native.summary, &found.summary);
@@ -211,7 +211,7 @@ fn rendered_images_have_the_scores_of_the_renders() {
         QUERIES.iter().map(|&frame| frame as f32).collect::<Vec<_>>(),
     )];
     let timed = TimedField::new(&field).unwrap();
-    let camera = rogs_splat::field::field_camera(
+    let camera = rogs_splat::field_camera(
         WIDTH as u32,
         HEIGHT as u32,
         &support::intrinsics(),

@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rogs_splat::read_ply;
+use rogs_field::read_ply;
 
 fuzz_target!(|bytes: &[u8]| {
     if let Err(error) = read_ply(bytes) {

@@ -70,6 +70,9 @@ pub enum Error {
     /// The rasteriser failed.
     #[error(transparent)]
     Splat(#[from] rogs_splat::SplatError),
+    /// A field cannot be used.
+    #[error(transparent)]
+    Field(#[from] rogs_field::Error),
 }
 
 impl From<rogs_worker::StageError> for Error {

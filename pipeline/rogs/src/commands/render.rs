@@ -6,11 +6,12 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context as _, bail, ensure};
+use rogs_field::{Axes, TimedField, export_field_in};
 use rogs_geometry::{Base, Camera as CameraFrame, Pose, Recon};
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::{Intrinsics, read_record};
-use rogs_splat::{Axes, Camera, Gaussians, RasterConfig, RasterDevice, Render, TimedField, export_field_in};
+use rogs_splat::{Camera, Gaussians, RasterConfig, RasterDevice, Render};
 use serde::{Deserialize, Serialize};
 
 use crate::output;
@@ -148,7 +149,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
             "`{}` is a PLY file already; leave `--ply` out",
             args.scene.display()
         );
-        let scene = rogs_splat::ply::read_ply_file(&args.scene)?;
+        let scene = rogs_field::ply::read_ply_file(&args.scene)?;
         let recon_from_base = Pose::from_matrix4(&IDENTITY)?;
         let scene = Scene {
             gaussians: scene.gaussians,

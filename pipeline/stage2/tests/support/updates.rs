@@ -1,10 +1,11 @@
 //! The golden updates of Stage 2, on any device.
 
 use burn::tensor::Device;
+use rogs_field::Correction;
 use rogs_schemas::records::refinement::ScaleResidual;
 use rogs_stage2::error_encoder::ColourLayout;
 use rogs_stage2::updater::{NeighbourBlock, Neighbours};
-use rogs_stage2::{Correction, ErrorEncoder, Plane, TokenGrid, Updater, nearest_neighbours};
+use rogs_stage2::{ErrorEncoder, Plane, TokenGrid, Updater, nearest_neighbours};
 use rogs_tensors::parameters::{from_host, to_host};
 
 use super::{FEATURE, Golden, STATE};
@@ -277,7 +278,7 @@ pub(crate) fn adapted_updates(golden: &Golden, device: &Device) {
             golden.close("means", &seen[..3], &expected("means", 3), FEATURE);
             let scales: Vec<f32> = seen[3..6]
                 .iter()
-                .map(|&raw| rogs_stage2::correction::activated_scale(raw))
+                .map(|&raw| rogs_field::attributes::scale_iu(raw))
                 .collect();
             golden.close("scales", &scales, &expected("scales", 3), FEATURE);
             let norm = seen[6..10].iter().map(|v| v * v).sum::<f32>().sqrt();

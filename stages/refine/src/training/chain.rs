@@ -1,10 +1,11 @@
 //! From gradients in the Gaussians of a scene to gradients in the corrections.
 
+use rogs_field::attributes::{MAX_SCALE_IU, MIN_LINEAR_SCALE_IU, SCALE_STEP_IU, sigmoid};
+use rogs_field::{Correction, TimedField, raw_at};
 use rogs_schemas::records::field::{Field, RAW_CHANNELS, TimeSlice};
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, ScaleResidual};
 use rogs_splat::backward::Gradients;
-use rogs_splat::{Colour, Gaussians, TimedField};
-use rogs_stage2::Correction;
+use rogs_splat::{Colour, Gaussians};
 use rogs_worker::StageResult;
 
 use crate::refinement::{bad_field, step};
@@ -58,7 +59,7 @@ pub(super) fn add_chained(
     gradients: &Gradients,
     total: &mut [f32],
 ) {
-    let raw = slice.raw(&field.base_raw);
+    let raw = raw_at(field, slice);
     for (n, row) in total.chunks_exact_mut(RESIDUAL_CHANNELS).enumerate() {
         let (raw, shift) = (&raw[n * RAW_CHANNELS..(n + 1) * RAW_CHANNELS], correction.row(n));
         for axis in 0..3 {
@@ -66,11 +67,9 @@ pub(super) fn add_chained(
             let scale = scene.scales[3 * n + axis];
             let slope = match mode {
                 _ if scale >= field.scale_cap_iu[n] => 0.0,
-                ScaleResidual::PreActivation if scale >= rogs_splat::field::MAX_SCALE_IU => 0.0,
-                ScaleResidual::PreActivation => {
-                    rogs_splat::field::SCALE_STEP_IU * rogs_splat::field::logistic(raw[3 + axis] + shift[3 + axis])
-                }
-                ScaleResidual::Linear if scale <= rogs_splat::field::MIN_LINEAR_SCALE_IU => 0.0,
+                ScaleResidual::PreActivation if scale >= MAX_SCALE_IU => 0.0,
+                ScaleResidual::PreActivation => SCALE_STEP_IU * sigmoid(raw[3 + axis] + shift[3 + axis]),
+                ScaleResidual::Linear if scale <= MIN_LINEAR_SCALE_IU => 0.0,
                 ScaleResidual::Linear => 1.0,
             };
             row[3 + axis] += slope * gradients.scales[3 * n + axis];

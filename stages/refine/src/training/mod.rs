@@ -16,10 +16,11 @@ mod outcome;
 mod targets;
 
 use burn::tensor::{Int, Tensor, TensorData};
+use rogs_field::{Correction, GateGroup};
 use rogs_schemas::records::refinement::RESIDUAL_CHANNELS;
 use rogs_stage2::objective::{ObjectiveTerms, ObjectiveWeights, Perceptual};
 use rogs_stage2::updater::Neighbours;
-use rogs_stage2::{Correction, GateGroup, Refiner, nearest_neighbours};
+use rogs_stage2::{Refiner, nearest_neighbours};
 use rogs_tensors::parameters::{from_host, to_host};
 use rogs_worker::StageResult;
 

@@ -1,12 +1,12 @@
 //! The objective of a corrected field, and its gradient in the corrections.
 
 use burn::tensor::{Device, Gradients as TensorGradients, Tensor};
+use rogs_field::Correction;
 use rogs_schemas::records::field::{Field, TimeSlice};
 use rogs_schemas::records::refinement::RESIDUAL_CHANNELS;
 use rogs_schemas::units::m_from_iu;
 use rogs_splat::backward::{Gradients, RenderGradient, Tape, backward_into, render_with_tape};
 use rogs_splat::{Gaussians, RasterConfig};
-use rogs_stage2::Correction;
 use rogs_stage2::objective::{RenderedMotion, RenderedView, RobotPositions, UpdateOutcome, update_objective};
 use rogs_tensors::parameters::{from_host, to_host};
 use rogs_worker::StageResult;

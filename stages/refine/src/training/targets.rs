@@ -15,7 +15,7 @@ use super::chain::scene_at;
 use crate::refinement::internal;
 use crate::source_time::{composed, inverse};
 use crate::{ClipInputs, RefineParams};
-use rogs_stage2::Correction;
+use rogs_field::Correction;
 
 /// A view that is rendered and compared.
 pub(super) struct TargetView {

@@ -7,9 +7,9 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use rogs_field::ply::read_ply_file;
 use rogs_schemas::RigidPose;
 use rogs_splat::Gaussians;
-use rogs_splat::ply::read_ply_file;
 use serde::{Deserialize, Serialize};
 
 use crate::outside::arrays::ArrayFile;

@@ -1,9 +1,10 @@
 //! One differentiable pass of the network over a clip.
 
 use burn::tensor::{Device, Tensor};
+use rogs_field::MotionGates;
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 use rogs_schemas::units::UNITS_PER_METRE;
-use rogs_stage1::decode::{DEPTH_RANGE_IU, MotionGates, activate_attributes, gate_attributes};
+use rogs_stage1::decode::{DEPTH_RANGE_IU, activate_attributes, gate_attributes};
 use rogs_stage1::sweep::Found;
 use rogs_stage1::{Attention, Encoded, HeadKind, SourceFrames, Stage1};
 use rogs_tensors::device;

@@ -1,10 +1,11 @@
 //! Held-out clips before and after refinement.
 
+use rogs_field::TimedField;
 use rogs_geometry::transform::{Base, Camera as CameraFrame, Pose, Recon};
 use rogs_schemas::records::clip::{Clip, time_of_frame};
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::units::UNITS_PER_METRE;
-use rogs_splat::{Camera, RasterConfig, TimedField, render};
+use rogs_splat::{Camera, RasterConfig, render};
 
 use super::lifted::LiftedClip;
 use crate::error::Result;

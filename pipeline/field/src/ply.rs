@@ -12,10 +12,12 @@ use std::path::Path;
 use rogs_schemas::RigidPose;
 use rogs_schemas::units::UNITS_PER_METRE;
 
-use crate::error::{Result, SplatError};
-use crate::field::{TimedField, logistic};
-use crate::gaussians::{Colour, Gaussians, MAX_GAUSSIANS};
-use crate::sh;
+use rogs_splat::gaussians::MAX_GAUSSIANS;
+use rogs_splat::{Colour, Gaussians, sh};
+
+use crate::attributes::sigmoid;
+use crate::error::{Error, Result};
+use crate::timed::TimedField;
 
 /// Longest header that is read.
 const MAX_HEADER: usize = 1 << 16;
@@ -39,7 +41,7 @@ pub struct PlyScene {
 /// When the file cannot be read, is no 3DGS PLY, or is shorter than its header says.
 pub fn read_ply_file(path: &Path) -> Result<PlyScene> {
     let io = |action| {
-        move |source| SplatError::Io {
+        move |source| Error::Io {
             action,
             path: path.to_owned(),
             source,
@@ -109,7 +111,7 @@ pub fn read_ply(bytes: &[u8]) -> Result<PlyScene> {
     for vertex in body[header.skip..].chunks_exact(header.stride).take(n) {
         let float = |offset: usize| f32_at(vertex, offset);
         gaussians.means.extend(offsets[..3].iter().map(|&o| float(o)));
-        gaussians.opacities.push(logistic(float(offsets[3])));
+        gaussians.opacities.push(sigmoid(float(offsets[3])));
         gaussians
             .scales
             .extend(offsets[4..7].iter().map(|&o| libm::expf(float(o))));
@@ -133,8 +135,8 @@ fn f32_at(bytes: &[u8], offset: usize) -> f32 {
     f32::from_le_bytes(four)
 }
 
-fn wrong(what: String) -> SplatError {
-    SplatError::Ply { what }
+fn wrong(what: String) -> Error {
+    Error::Ply { what }
 }
 
 /// The part of a header that matters.
@@ -291,7 +293,7 @@ pub fn write_ply(
 ) -> Result<()> {
     gaussians.validate()?;
     let mut write = |bytes: &[u8]| {
-        let io = |source| SplatError::Io {
+        let io = |source| Error::Io {
             action: "writing",
             path: path_for_errors.to_owned(),
             source,
@@ -402,7 +404,7 @@ pub fn export_field_in(field: &TimedField<'_>, time: f64, axes: Axes, path: &Pat
     };
     let comments = [format!("frame {frame} unit m"), format!("time {time}")];
     let io = |action| {
-        move |source| SplatError::Io {
+        move |source| Error::Io {
             action,
             path: path.to_owned(),
             source,

@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use proptest::prelude::*;
-use rogs_splat::{Colour, Gaussians, read_ply, write_ply};
+use rogs_field::{read_ply, write_ply};
+use rogs_splat::{Colour, Gaussians};
 
 fn scene(degree: usize) -> Gaussians {
     let value = |k: usize| ((k * 2_654_435_761) % 1000) as f32 / 1000.0;

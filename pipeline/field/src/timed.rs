@@ -5,23 +5,15 @@
 //! times is read from the stored displacement streams alone, so no correction can change it.
 
 use rayon::prelude::*;
-use rogs_schemas::records::field::{Field, GATE_ATTRIBUTES, GATE_OPACITY, RAW_CHANNELS, TimeSlice};
+use rogs_schemas::RigidPose;
+use rogs_schemas::records::field::{Field, RAW_CHANNELS, TimeSlice};
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
-use rogs_schemas::units::{UNITS_PER_METRE, iu_from_m, m_from_iu};
-use rogs_schemas::{Intrinsics, RigidPose};
+use rogs_schemas::units::iu_from_m;
+use rogs_splat::{Colour, Gaussians, sh};
 
-use crate::camera::Camera;
-use crate::error::{Result, SplatError};
-use crate::gaussians::{Colour, Gaussians};
-use crate::render::Render;
-use crate::sh;
-
-/// Largest activated scale, internal units.
-pub const MAX_SCALE_IU: f32 = 0.3;
-/// Activated scale per unit of softplus, internal units.
-pub const SCALE_STEP_IU: f32 = 0.001;
-/// Smallest scale under linear residuals, internal units.
-pub const MIN_LINEAR_SCALE_IU: f32 = 1e-6;
+use crate::attributes::{MIN_LINEAR_SCALE_IU, colour, opacity_logit, scale_iu, sigmoid};
+use crate::error::{Error, Result};
+use crate::gates;
 
 const CHUNK: usize = 8192;
 
@@ -104,8 +96,8 @@ impl<'a> TimedField<'a> {
         }
     }
 
-    fn error(&self, what: String) -> SplatError {
-        SplatError::Field {
+    fn error(&self, what: String) -> Error {
+        Error::Field {
             clip: self.field.clip_id.clone(),
             what,
         }
@@ -172,7 +164,9 @@ impl<'a> TimedField<'a> {
                 });
                 for local in 0..opacities.len() {
                     let index = first + local;
-                    let raw = raw_at(field, slice.gate[index], index, &mut moving);
+                    let mut raw = [0.0; RAW_CHANNELS];
+                    raw.copy_from_slice(&field.base_raw[RAW_CHANNELS * index..][..RAW_CHANNELS]);
+                    gates::choose_next(slice.gate[index], &mut moving, &mut raw);
                     let residual = residuals.as_mut().and_then(|(step, scale, values)| {
                         if step.touched[index] == 0 {
                             None
@@ -237,20 +231,6 @@ impl<'a> TimedField<'a> {
     }
 }
 
-/// A camera for the Gaussians of a field, from its pose in the reconstruction frame in metres.
-#[must_use]
-pub fn field_camera(width: u32, height: u32, intrinsics: &Intrinsics, camera_from_recon: &RigidPose) -> Camera {
-    Camera::new(width, height, intrinsics, camera_from_recon, UNITS_PER_METRE)
-}
-
-impl Render {
-    /// Expected depth in metres of a render in internal units. `[H, W]`
-    #[must_use]
-    pub fn depth_expected_m(&self) -> Vec<f32> {
-        self.depth_expected.iter().map(|&d| m_from_iu(d)).collect()
-    }
-}
-
 /// Where the values of every chunk begin in an array that holds values of marked elements only.
 fn starts(marks: &[u8], channels: usize) -> Vec<usize> {
     let mut total = 0;
@@ -262,28 +242,6 @@ fn starts(marks: &[u8], channels: usize) -> Vec<usize> {
             start
         })
         .collect()
-}
-
-/// Raw attributes of a Gaussian: query-time values where the gate is open, base values elsewhere.
-fn raw_at<'v>(
-    field: &Field,
-    gate: u8,
-    index: usize,
-    moving: &mut impl Iterator<Item = &'v [f32]>,
-) -> [f32; RAW_CHANNELS] {
-    let mut raw = [0.0; RAW_CHANNELS];
-    raw.copy_from_slice(&field.base_raw[RAW_CHANNELS * index..RAW_CHANNELS * (index + 1)]);
-    if gate != 0
-        && let Some(values) = moving.next()
-    {
-        if gate & GATE_ATTRIBUTES != 0 {
-            raw[..10].copy_from_slice(&values[..10]);
-        }
-        if gate & GATE_OPACITY != 0 {
-            raw[10] = values[10];
-        }
-    }
-    raw
 }
 
 /// Activated attributes of one Gaussian.
@@ -301,32 +259,18 @@ fn activate(raw: &[f32; RAW_CHANNELS], cap: f32, residual: Option<(&[f32], Scale
     let scale = std::array::from_fn(|k| {
         let own = raw[3 + k];
         let scale = match residual {
-            Some((v, ScaleResidual::PreActivation)) => activate_scale(own + v[3 + k]),
-            Some((v, ScaleResidual::Linear)) => (activate_scale(own) + v[3 + k]).max(MIN_LINEAR_SCALE_IU),
-            None => activate_scale(own),
+            Some((v, ScaleResidual::PreActivation)) => scale_iu(own + v[3 + k]),
+            Some((v, ScaleResidual::Linear)) => (scale_iu(own) + v[3 + k]).max(MIN_LINEAR_SCALE_IU),
+            None => scale_iu(own),
         };
         scale.min(cap)
     });
     Activated {
-        rgb: std::array::from_fn(|k| 0.5 + 0.5 * libm::tanhf(raw[k])),
+        rgb: std::array::from_fn(|k| colour(raw[k])),
         scale,
         quat: std::array::from_fn(|k| raw[6 + k] + add(6 + k)),
-        opacity: logistic(2.0 * (raw[10] - 1.0) + add(10)),
+        opacity: sigmoid(opacity_logit(raw[10]) + add(10)),
     }
-}
-
-/// `min(0.3, 0.001 softplus(raw))`, internal units.
-#[must_use]
-pub fn activate_scale(raw: f32) -> f32 {
-    let softplus = raw.max(0.0) + libm::log1pf(libm::expf(-raw.abs()));
-    (SCALE_STEP_IU * softplus).min(MAX_SCALE_IU)
-}
-
-/// `1 / (1 + exp(-x))` without overflow.
-#[must_use]
-pub fn logistic(x: f32) -> f32 {
-    let e = libm::expf(-x.abs());
-    if x >= 0.0 { 1.0 / (1.0 + e) } else { e / (1.0 + e) }
 }
 
 /// Harmonics of a plain colour plus the residuals, which are colour-major (16 of red, 16 of green, 16 of blue).
@@ -412,7 +356,7 @@ mod tests {
     fn activations_and_gates_follow_the_specification() {
         let field = field();
         let gaussians = TimedField::new(&field).unwrap().gaussians(0.5).unwrap();
-        let raw = field.slices[1].raw(&field.base_raw);
+        let raw = gates::raw_at(&field, &field.slices[1]);
         for n in 0..6 {
             let raw: Vec<f64> = raw[RAW_CHANNELS * n..][..RAW_CHANNELS]
                 .iter()
@@ -453,17 +397,17 @@ mod tests {
         else {
             panic!("degree 3 expected")
         };
-        let raw = field.slices[1].raw(&field.base_raw);
+        let raw = gates::raw_at(&field, &field.slices[1]);
         for n in 0..6 {
             let on = if [0, 2, 5].contains(&n) { 1.0 } else { 0.0_f32 };
             let metres = (field.position_m[3 * n] + on * 1e-3) + field.slices[1].displacement_m[3 * n];
             assert!((corrected.means[3 * n] - metres * 3.5).abs() < 1e-6);
-            let scale = activate_scale(raw[RAW_CHANNELS * n + 4] + on * 5e-3).min(field.scale_cap_iu[n]);
+            let scale = scale_iu(raw[RAW_CHANNELS * n + 4] + on * 5e-3).min(field.scale_cap_iu[n]);
             assert!((corrected.scales[3 * n + 1] - scale).abs() < 1e-8);
             assert!((corrected.quats[4 * n + 3] - (raw[RAW_CHANNELS * n + 9] + on * 10e-3)).abs() < 1e-6);
             assert_eq!(
                 corrected.opacities[n],
-                logistic(2.0 * (raw[RAW_CHANNELS * n + 10] - 1.0) + on * 11e-3)
+                sigmoid(opacity_logit(raw[RAW_CHANNELS * n + 10]) + on * 11e-3)
             );
             let first = sh::coefficient_from_colour(base.colour.values()[3 * n + 2]);
             assert!(
