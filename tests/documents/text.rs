@@ -70,14 +70,16 @@ pub(crate) fn files() -> Vec<File> {
 pub(crate) fn joined(folder: &Path, relative: &str) -> Option<PathBuf> {
     let mut out = PathBuf::new();
     for part in folder.join(relative).components() {
-        match part {
-            Component::Normal(name) => out.push(name),
-            Component::ParentDir => {
-                if !out.pop() {
-                    return None;
-                }
+        let inside = match part {
+            Component::Normal(name) => {
+                out.push(name);
+                true
             }
-            _ => {}
+            Component::ParentDir => out.pop(),
+            _ => true,
+        };
+        if !inside {
+            return None;
         }
     }
     Some(out)
