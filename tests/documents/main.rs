@@ -121,7 +121,7 @@ fn defines(text: &str, name: &str, test: bool) -> bool {
                 !word(before) && !word(after)
             })
         };
-        ["fn", "struct", "enum", "trait", "const", "type"]
+        ["fn", "struct", "enum", "trait", "impl", "const", "type"]
             .iter()
             .any(|word| found(word))
     };
@@ -178,6 +178,33 @@ fn functions_and_tests_of_the_paper_s_equations_exist() {
     }
     assert_none(&wrong, "functions or tests that do not exist");
     assert!(names > 150, "names are not found any more: {names}");
+}
+
+#[test]
+fn names_of_code_in_the_specification_exist() {
+    let files = files();
+    let is_source = |file: &&File| file.path.extension().is_some_and(|ending| ending == "rs");
+    let sources: Vec<&File> = files.iter().filter(is_source).collect();
+    let is_module = |name: &str| {
+        let has = |file: &&File, part: &str| {
+            let path = file.path.with_extension("");
+            path.iter()
+                .any(|folder| folder.to_string_lossy().replace('-', "_") == part)
+        };
+        sources.iter().any(|file| name.split("::").all(|part| has(file, part)))
+    };
+    let mut wrong = Vec::new();
+    for file in files.iter().filter(|file| file.path.starts_with("docs/spec")) {
+        for (number, line) in prose(&file.text) {
+            for name in line.split('`').skip(1).step_by(2).filter(|name| name.contains("::")) {
+                let plain = name.strip_prefix("rogs_").unwrap_or(name);
+                if !is_module(plain) && !is_in_the_sources(&sources, plain, false) {
+                    wrong.push(format!("{}:{number}: {name}", file.path.display()));
+                }
+            }
+        }
+    }
+    assert_none(&wrong, "names that do not exist");
 }
 
 /// Lines of prose that are too wide: neither wrapped nor, in their paragraph, one sentence each.
