@@ -12,7 +12,7 @@ use rogs_lift::latents::open_adapter;
 use rogs_lift::{ClipInputs, LiftParams, TokenSource, lift_inputs, load_model};
 use rogs_train::latent::LatentLosses;
 use rogs_train::run::{Course, run};
-use rogs_train::{LatentTrainer, LatentTraining};
+use rogs_train::{LatentTrainer, LatentTraining, Stage1Training, Stage2Training};
 use support::{difference, first_moments};
 
 /// Terms of the clip that is trained on are lower at the end of a run than at its start.
@@ -174,4 +174,10 @@ fn the_published_settings_are_understood() {
         [1, 2].map(|phase| LatentTraining::read(&manifests.join(format!("latent-{phase}.toml"))).unwrap());
     assert_eq!(first.losses, LatentLosses::default());
     assert_eq!((second.steps, second.rate, second.losses.token), (300, 5e-5, 0.1));
+    for name in ["stage1", "stage1-continue"] {
+        let settings = Stage1Training::read(&manifests.join(format!("{name}.toml"))).unwrap();
+        assert!(settings.start.is_none_or(|file| file.exists()), "{name}");
+    }
+    let refiner = Stage2Training::read(&manifests.join("stage2.toml")).unwrap();
+    assert!(refiner.lift.exists() && refiner.start.is_some_and(|file| file.exists()));
 }
