@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 /// A rigid transform `a_from_b`: it maps points given in frame `b` to frame `a`, `p_a = R p_b + t`.
 ///
 /// The frames are named by the field that holds the pose (`base_from_camera`, `recon_from_base`, ...). Lengths are
-/// metres. `rogs-geometry` has the typed version with composition and inversion; this one only carries numbers.
+/// metres. `rogs_geometry::Pose` is the typed version with composition and inversion; this one only carries numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct RigidPose {
     /// Rotation matrix, row-major 3x3.

@@ -17,3 +17,29 @@ pub fn iu_from_m(metres: f32) -> f32 {
 pub fn m_from_iu(units: f32) -> f32 {
     units / UNITS_PER_METRE as f32
 }
+
+/// The unit of lengths in memory.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LengthUnit {
+    /// Metres: files, calibrations, scenes of other programs.
+    Metre,
+    /// Internal units: networks, and fields as they are rendered.
+    Internal,
+}
+
+impl LengthUnit {
+    /// How many of them are in a metre.
+    #[must_use]
+    pub const fn per_metre(self) -> f64 {
+        match self {
+            Self::Metre => 1.0,
+            Self::Internal => UNITS_PER_METRE,
+        }
+    }
+
+    /// Converts a length of this unit to metres.
+    #[must_use]
+    pub fn to_m(self, length: f32) -> f32 {
+        length / self.per_metre() as f32
+    }
+}

@@ -76,10 +76,19 @@ fn dependencies_point_one_way() {
     let allowed = |name: &str| -> &[&str] {
         match name {
             "rogs-schemas" | "rogs-random" | "rogs-flat-exr" | "rogs-pages" | "rogs-kernels" | "rogs-weights" => &[],
-            "rogs-geometry" | "rogs-splat" | "rogs-worker" => &["rogs-schemas"],
-            "rogs-field" => &["rogs-schemas", "rogs-splat"],
+            "rogs-geometry" | "rogs-worker" => &["rogs-schemas"],
+            "rogs-robot" | "rogs-splat" => &["rogs-schemas", "rogs-geometry"],
+            "rogs-field" => &["rogs-schemas", "rogs-geometry", "rogs-splat"],
             "rogs-tensors" => &["rogs-kernels", "rogs-weights", "rogs-splat"],
-            "rogs-stage1" | "rogs-stage2" => &[
+            "rogs-stage1" => &[
+                "rogs-schemas",
+                "rogs-geometry",
+                "rogs-field",
+                "rogs-kernels",
+                "rogs-weights",
+                "rogs-tensors",
+            ],
+            "rogs-stage2" => &[
                 "rogs-schemas",
                 "rogs-field",
                 "rogs-kernels",
@@ -95,6 +104,7 @@ fn dependencies_point_one_way() {
                 "rogs-flat-exr",
                 "rogs-pages",
                 "rogs-geometry",
+                "rogs-robot",
                 "rogs-splat",
                 "rogs-field",
                 "rogs-kernels",

@@ -9,8 +9,7 @@ use std::collections::HashMap;
 use std::io::{BufWriter, Read, Write};
 use std::path::Path;
 
-use rogs_schemas::RigidPose;
-use rogs_schemas::units::UNITS_PER_METRE;
+use rogs_schemas::units::LengthUnit;
 
 use rogs_splat::gaussians::MAX_GAUSSIANS;
 use rogs_splat::{Colour, Gaussians, sh};
@@ -279,14 +278,14 @@ fn size_of_type(name: &str) -> Option<usize> {
     })
 }
 
-/// Writes Gaussians, dividing lengths by `units_per_metre` (1 when they are in metres already). Extra channels are not
-/// part of the format.
+/// Writes Gaussians whose lengths have the given unit; in the file they are metres. Extra channels are not part of the
+/// format.
 ///
 /// # Errors
 /// When arrays contradict each other or the writer fails (reported as an I/O error of `path_for_errors`).
 pub fn write_ply(
     gaussians: &Gaussians,
-    units_per_metre: f64,
+    unit: LengthUnit,
     comments: &[String],
     writer: &mut impl Write,
     path_for_errors: &Path,
@@ -306,12 +305,13 @@ pub fn write_ply(
     };
     let bands = sh::coefficient_count(degree) - 1;
     write(header(gaussians.len(), 3 * bands, comments).as_bytes())?;
-    let scale = units_per_metre as f32;
     let mut row = Vec::with_capacity(4 * (14 + 3 * bands));
     for n in 0..gaussians.len() {
         row.clear();
         let mut put = |value: f32| row.extend_from_slice(&value.to_le_bytes());
-        gaussians.means[3 * n..3 * n + 3].iter().for_each(|v| put(v / scale));
+        gaussians.means[3 * n..3 * n + 3]
+            .iter()
+            .for_each(|v| put(unit.to_m(*v)));
         match &gaussians.colour {
             Colour::Rgb(rgb) => rgb[3 * n..3 * n + 3]
                 .iter()
@@ -328,7 +328,7 @@ pub fn write_ply(
         put(libm::logf(opacity / (1.0 - opacity)));
         gaussians.scales[3 * n..3 * n + 3]
             .iter()
-            .for_each(|v| put(libm::logf((v / scale).max(f32::MIN_POSITIVE))));
+            .for_each(|v| put(libm::logf(unit.to_m(*v).max(f32::MIN_POSITIVE))));
         let quat = &gaussians.quats[4 * n..4 * n + 4];
         let norm = quat.iter().map(|q| q * q).sum::<f32>().sqrt();
         if norm > 0.0 && norm.is_finite() {
@@ -389,16 +389,8 @@ pub fn export_field_in(field: &TimedField<'_>, time: f64, axes: Axes, path: &Pat
     let frame = match axes {
         Axes::Recon => "recon_opencv",
         Axes::Base => {
-            let RigidPose {
-                rotation: r,
-                translation,
-            } = field.recon_from_base();
-            let back = [r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]];
-            let shift = std::array::from_fn(|k| {
-                let metres: f64 = (0..3).map(|i| back[3 * k + i] * translation[i]).sum();
-                -metres * UNITS_PER_METRE
-            });
-            gaussians = gaussians.moved(&back, &shift);
+            let base_from_recon_iu = field.recon_from_base()?.inverse().in_unit(LengthUnit::Internal);
+            gaussians = gaussians.moved(&base_from_recon_iu);
             "base"
         }
     };
@@ -413,7 +405,7 @@ pub fn export_field_in(field: &TimedField<'_>, time: f64, axes: Axes, path: &Pat
     let partial = path.with_extension("ply.partial");
     let file = std::fs::File::create(&partial).map_err(io("creating"))?;
     let mut writer = BufWriter::with_capacity(1 << 20, file);
-    let written = write_ply(&gaussians, UNITS_PER_METRE, &comments, &mut writer, path)
+    let written = write_ply(&gaussians, LengthUnit::Internal, &comments, &mut writer, path)
         .and_then(|()| writer.flush().map_err(io("writing")))
         .and_then(|()| writer.get_ref().sync_all().map_err(io("writing")));
     if let Err(error) = written {

@@ -5,7 +5,7 @@
 //! times is read from the stored displacement streams alone, so no correction can change it.
 
 use rayon::prelude::*;
-use rogs_schemas::RigidPose;
+use rogs_geometry::{Base, Pose, Recon};
 use rogs_schemas::records::field::{Field, RAW_CHANNELS, TimeSlice};
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
 use rogs_schemas::units::iu_from_m;
@@ -104,8 +104,11 @@ impl<'a> TimedField<'a> {
     }
 
     /// Base-to-reconstruction of the clip, metres.
-    pub(crate) fn recon_from_base(&self) -> &'a RigidPose {
-        &self.field.recon_from_base
+    ///
+    /// # Errors
+    /// When the stored matrix is not rigid.
+    pub(crate) fn recon_from_base(&self) -> Result<Pose<Recon, Base>> {
+        Pose::from_rigid(&self.field.recon_from_base).map_err(|error| self.error(error.to_string()))
     }
 
     fn slice(&self, time: f64) -> Result<&'a TimeSlice> {
@@ -304,6 +307,7 @@ fn highest_degree(step: &RefinementStep) -> usize {
 
 #[cfg(test)]
 mod tests {
+    use rogs_schemas::RigidPose;
     use rogs_schemas::records::clip::SourceView;
     use rogs_schemas::records::field::WeightsInfo;
 

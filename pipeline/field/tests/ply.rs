@@ -4,6 +4,7 @@ use std::path::Path;
 
 use proptest::prelude::*;
 use rogs_field::{read_ply, write_ply};
+use rogs_schemas::units::LengthUnit;
 use rogs_splat::{Colour, Gaussians};
 
 fn scene(degree: usize) -> Gaussians {
@@ -24,10 +25,10 @@ fn scene(degree: usize) -> Gaussians {
     }
 }
 
-fn written(gaussians: &Gaussians, units_per_metre: f64) -> Vec<u8> {
+fn written(gaussians: &Gaussians, unit: LengthUnit) -> Vec<u8> {
     let mut bytes = Vec::new();
     let comments = ["frame recon_opencv unit m".to_owned()];
-    write_ply(gaussians, units_per_metre, &comments, &mut bytes, Path::new("memory")).unwrap();
+    write_ply(gaussians, unit, &comments, &mut bytes, Path::new("memory")).unwrap();
     bytes
 }
 
@@ -42,7 +43,7 @@ fn close(a: &[f32], b: &[f32], tolerance: f32) {
 fn what_is_written_is_read_back_in_metres() {
     for degree in 0..=3 {
         let scene = scene(degree);
-        let read = read_ply(&written(&scene, 3.5)).unwrap();
+        let read = read_ply(&written(&scene, LengthUnit::Internal)).unwrap();
         assert_eq!(read.comments, ["frame recon_opencv unit m"]);
         close(
             &scene.means.iter().map(|v| v / 3.5).collect::<Vec<_>>(),
@@ -66,7 +67,7 @@ fn what_is_written_is_read_back_in_metres() {
 #[test]
 fn bytes_follow_the_convention() {
     let scene = scene(1);
-    let bytes = written(&scene, 1.0);
+    let bytes = written(&scene, LengthUnit::Metre);
     let end = bytes.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
     let header = std::str::from_utf8(&bytes[..end]).unwrap();
     assert!(header.starts_with("ply\nformat binary_little_endian 1.0\ncomment frame recon_opencv unit m\n"));
@@ -119,7 +120,7 @@ fn properties_are_found_by_name_and_others_skipped() {
 
 #[test]
 fn damage_is_named() {
-    let good = written(&scene(1), 1.0);
+    let good = written(&scene(1), LengthUnit::Metre);
     let says = |bytes: &[u8], what: &str| {
         let message = read_ply(bytes).unwrap_err().to_string();
         assert!(message.contains(what), "{message}");
@@ -151,7 +152,7 @@ proptest! {
 
     #[test]
     fn damaged_files_never_panic(at in 0_usize..1500, value in any::<u8>(), cut in 0_usize..1500) {
-        let mut bytes = written(&scene(1), 1.0);
+        let mut bytes = written(&scene(1), LengthUnit::Metre);
         let length = bytes.len();
         bytes[at % length] = value;
         bytes.truncate(length - cut % length);

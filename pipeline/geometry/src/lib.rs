@@ -1,11 +1,11 @@
-//! Rigid transforms, cameras, kinematics, meshes and the mesh rasteriser.
+//! Where things stand and how cameras see them: poses, similarities and pinhole cameras.
 //!
-//! Poses are named and typed `a_from_b` ([`Pose`]); a composition that does not chain does not compile. A robot is read
-//! with [`RobotModel::load`], which trusts nothing in the file and never leaves the robot's folder; forward kinematics of
-//! one state is [`RobotModel::fk`], of a cohort of states [`batch::BatchFk`]. [`MeshScene`] collects the meshes that the
-//! anchor consists of and [`MeshScene::render`] draws depth (camera z), link id and triangle id, sampled at pixel centres.
+//! Poses are named and typed `a_from_b` ([`Pose`]); a composition that does not chain does not compile. A [`PosedCamera`]
+//! is a [`Pinhole`] and its pose: the rasteriser and the networks each make their own form of it, and nobody writes one by
+//! hand. Rotations are `f64` matrices; what other representations the files and networks need is beside them.
 //!
-//! Lengths are metres, angles radians, images row-major with pixel centres at `+ 0.5`.
+//! Lengths are metres unless a name or a [`LengthUnit`](rogs_schemas::units::LengthUnit) says otherwise, angles radians,
+//! camera axes those of OpenCV (x right, y down, z forward), pixel centres at `+ 0.5`.
 //!
 //! ```
 //! use rogs_geometry::{Base, Camera, Link, Pose};
@@ -17,20 +17,19 @@
 //! assert!(identity.translation.length() < 1e-15);
 //! ```
 
-pub mod batch;
-pub mod camera;
-pub mod error;
-pub mod fk_json;
-pub mod mesh;
-pub mod names;
-pub mod outline;
-pub mod raster;
-pub mod robot;
-pub mod transform;
+mod error;
+mod pinhole;
+mod pose;
+mod posed;
+mod rotation;
+mod similarity;
 
-pub use camera::Pinhole;
 pub use error::{Error, Result};
-pub use mesh::Mesh;
-pub use raster::{MeshImage, MeshScene, RenderOptions};
-pub use robot::{JointState, RobotModel};
-pub use transform::{Base, Camera, Frame, Link, Pose, Recon};
+pub use pinhole::{Pinhole, pixel_centre};
+pub use pose::{Base, Camera, Frame, Link, Pose, RIGIDITY_TOLERANCE, Recon};
+pub use posed::PosedCamera;
+pub use rotation::{
+    euler_xyz_from_rotation, largest_component_quaternion, non_negative, quaternion, quaternion_product,
+    rotation_about_axis, rotation_from_euler_xyz, wxyz_f32,
+};
+pub use similarity::Similarity;

@@ -10,7 +10,7 @@
 use std::time::Instant;
 
 use rogs_splat::{
-    Camera, Colour, Eligible, Gaussians, Gradients, RasterConfig, RenderGradient, SimdLevel, Tape, backward,
+    Colour, Eligible, Gaussians, Gradients, RasterCamera, RasterConfig, RenderGradient, SimdLevel, Tape, backward,
     backward_into, backward_views, render, render_views, render_views_with_tape, render_with_contributions,
     render_with_tape,
 };
@@ -109,7 +109,7 @@ fn pool(threads: usize) -> rayon::ThreadPool {
         .expect("a thread pool")
 }
 
-fn bench_forward(scene: &Gaussians, camera: &Camera, rounds: usize, sketch: Option<&sketch::Sketch>) {
+fn bench_forward(scene: &Gaussians, camera: &RasterCamera, rounds: usize, sketch: Option<&sketch::Sketch>) {
     let config = RasterConfig {
         near: 0.01,
         far: 1e10,
@@ -185,7 +185,7 @@ fn bench_views(scene: &Gaussians, rounds: usize) {
         far: 1e10,
         ..RasterConfig::default()
     };
-    let cameras: Vec<Camera> = (0..6)
+    let cameras: Vec<RasterCamera> = (0..6)
         .map(|k| room::camera_from([0.84 - 0.02 * f64::from(k), 0.96 - 0.05 * f64::from(k), 0.8], 280, 154))
         .collect();
     let gradient_rgb = room::normals(3 * cameras[0].pixels(), 1);
@@ -305,7 +305,7 @@ fn bench_levels(scene: &Gaussians, rounds: usize) {
 mod sketch {
     #![allow(unsafe_code)] // a C function in a library that only the person running the benchmark names
 
-    use super::{Camera, Colour, Gaussians};
+    use super::{Colour, Gaussians, RasterCamera};
 
     type Gsref = unsafe extern "C" fn(
         n: i32,
@@ -350,7 +350,13 @@ mod sketch {
         }
 
         /// Returns the image as RGB.
-        pub(super) fn run(&self, scene: &Gaussians, camera: &Camera, threads: usize, gout: Option<&[f32]>) -> Vec<f32> {
+        pub(super) fn run(
+            &self,
+            scene: &Gaussians,
+            camera: &RasterCamera,
+            threads: usize,
+            gout: Option<&[f32]>,
+        ) -> Vec<f32> {
             let Colour::Rgb(rgb) = &scene.colour else {
                 return Vec::new();
             };

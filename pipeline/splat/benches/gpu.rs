@@ -11,8 +11,8 @@ mod room;
 use std::time::Instant;
 
 use rogs_splat::{
-    Camera, Eligible, Gaussians, GpuDevice, GpuScene, RasterConfig, RenderGradient, backward_views, gpu, render_views,
-    render_views_with_contributions, render_views_with_tape,
+    Eligible, Gaussians, GpuDevice, GpuScene, RasterCamera, RasterConfig, RenderGradient, backward_views, gpu,
+    render_views, render_views_with_contributions, render_views_with_tape,
 };
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -118,7 +118,7 @@ impl Bench<'_> {
     /// 8 query times x 6 cameras.
     fn clip(&self) -> Outcome {
         let Self { scene, config, .. } = self;
-        let cameras: Vec<Camera> = (0..6)
+        let cameras: Vec<RasterCamera> = (0..6)
             .map(|k| room::camera_from([0.84 - 0.02 * f64::from(k), 0.96 - 0.05 * f64::from(k), 0.8], 280, 154))
             .collect();
         let times: Vec<Gaussians> = (0..8)

@@ -1,7 +1,8 @@
-//! Pinhole cameras and the settings of a render.
+//! Cameras as they are rendered from and the settings of a render.
 
-use rogs_schemas::units::UNITS_PER_METRE;
-use rogs_schemas::{Intrinsics, RigidPose};
+use rogs_geometry::{Frame, Pinhole, PosedCamera};
+use rogs_schemas::Intrinsics;
+use rogs_schemas::units::LengthUnit;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Result, SplatError};
@@ -10,10 +11,11 @@ use crate::simd::SimdLevel;
 /// Largest image side, pixels.
 pub const MAX_SIDE: u32 = 1 << 14;
 
-/// A pinhole camera with OpenCV axes (x right, y down, z forward). Pixel `(column, row)` has its centre at
+/// A pinhole camera as the rasteriser takes it, in the frame and unit of the Gaussians; [`RasterCamera::new`] makes it of a
+/// camera in metres. Axes are those of OpenCV (x right, y down, z forward); pixel `(column, row)` has its centre at
 /// `(column + 0.5, row + 0.5)`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Camera {
+pub struct RasterCamera {
     /// Image width, pixels.
     pub width: u32,
     /// Image height, pixels.
@@ -32,50 +34,26 @@ pub struct Camera {
     pub translation: [f64; 3],
 }
 
-impl Camera {
-    /// A camera from the records' types; `camera_from_world` in metres, the result in the unit that has
-    /// `units_per_metre` of them in a metre (`rogs_schemas::units::UNITS_PER_METRE` for fields, 1 for metres).
+impl RasterCamera {
+    /// The form of a camera in which it renders Gaussians of a unit.
     #[must_use]
-    pub fn new(
-        width: u32,
-        height: u32,
-        intrinsics: &Intrinsics,
-        camera_from_world: &RigidPose,
-        units_per_metre: f64,
-    ) -> Self {
+    pub fn new<W: Frame>(camera: &PosedCamera<W>, unit: LengthUnit) -> Self {
+        let Pinhole {
+            intrinsics: Intrinsics { fx, fy, cx, cy },
+            width,
+            height,
+        } = camera.lens;
+        let camera_from_world = camera.world_from_camera.inverse().in_unit(unit).to_rigid();
         Self {
             width,
             height,
-            fx: intrinsics.fx,
-            fy: intrinsics.fy,
-            cx: intrinsics.cx,
-            cy: intrinsics.cy,
+            fx,
+            fy,
+            cx,
+            cy,
             rotation: camera_from_world.rotation,
-            translation: camera_from_world.translation.map(|t| t * units_per_metre),
+            translation: camera_from_world.translation,
         }
-    }
-
-    /// The same from the pose of the camera in the world (`world_from_camera`, metres), which is inverted.
-    #[must_use]
-    pub fn from_world_pose(
-        width: u32,
-        height: u32,
-        intrinsics: &Intrinsics,
-        world_from_camera: &RigidPose,
-        units_per_metre: f64,
-    ) -> Self {
-        let r = &world_from_camera.rotation;
-        let t = &world_from_camera.translation;
-        let rotation = [r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]];
-        let row = |k: usize| -(rotation[3 * k] * t[0] + rotation[3 * k + 1] * t[1] + rotation[3 * k + 2] * t[2]);
-        let translation = [row(0), row(1), row(2)];
-        Self::new(
-            width,
-            height,
-            intrinsics,
-            &RigidPose { rotation, translation },
-            units_per_metre,
-        )
     }
 
     /// Number of pixels.
@@ -233,9 +211,9 @@ pub(crate) struct View {
 }
 
 impl View {
-    pub(crate) fn new(camera: &Camera) -> Self {
+    pub(crate) fn new(camera: &RasterCamera) -> Self {
         let (w, h) = (f64::from(camera.width), f64::from(camera.height));
-        let Camera {
+        let RasterCamera {
             fx,
             fy,
             cx,
@@ -264,9 +242,4 @@ impl View {
             centre: [column(0) as f32, column(1) as f32, column(2) as f32],
         }
     }
-}
-/// A camera for the Gaussians of a field, from its pose in the reconstruction frame in metres.
-#[must_use]
-pub fn field_camera(width: u32, height: u32, intrinsics: &Intrinsics, camera_from_recon: &RigidPose) -> Camera {
-    Camera::new(width, height, intrinsics, camera_from_recon, UNITS_PER_METRE)
 }

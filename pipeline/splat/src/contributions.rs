@@ -10,7 +10,7 @@ use std::ops::Range;
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
-use crate::camera::{Camera, RasterConfig};
+use crate::camera::{RasterCamera, RasterConfig};
 use crate::error::{Result, SplatError};
 use crate::gaussians::Gaussians;
 use crate::project::{CHUNK, Projection, for_each_view};
@@ -94,7 +94,7 @@ struct Piece {
 /// As [`crate::render()`], and when the eligibility does not fit the scene.
 pub fn render_with_contributions(
     gaussians: &Gaussians,
-    camera: &Camera,
+    camera: &RasterCamera,
     config: &RasterConfig,
     eligible: &Eligible,
 ) -> Result<(Render, Contributions)> {
@@ -115,7 +115,7 @@ pub fn render_with_contributions(
 /// As [`render_with_contributions`].
 pub fn render_views_with_contributions(
     gaussians: &Gaussians,
-    cameras: &[Camera],
+    cameras: &[RasterCamera],
     config: &RasterConfig,
     eligible: &Eligible,
 ) -> Result<(Vec<Render>, Contributions)> {
@@ -358,7 +358,7 @@ impl Contributions {
 /// As [`render_views_with_contributions`] and [`Contributions::pool`].
 pub fn pool_in_parts(
     gaussians: &Gaussians,
-    cameras: &[Camera],
+    cameras: &[RasterCamera],
     config: &RasterConfig,
     eligible: &Eligible,
     (features, channels): (&[f32], usize),

@@ -1,6 +1,6 @@
 //! Gaussians, spherical harmonics and the differentiable rasteriser.
 //!
-//! [`render()`] draws a scene of 3D [`Gaussians`] into a [`Camera`]: colour, accumulated opacity, expected depth and any
+//! [`render()`] draws a scene of 3D [`Gaussians`] into a [`RasterCamera`]: colour, accumulated opacity, expected depth and any
 //! number of further channels, all with the same compositing weights. [`render_with_tape`] and [`backward`](fn@backward)
 //! give the gradients of all outputs with respect to everything that went in, the camera pose included.
 //! [`render_views_with_contributions`] records the compositing weights of chosen Gaussians sparsely and pools pixel
@@ -15,7 +15,7 @@
 //! lists from back to front. Nothing is shared between tiles or chunks, and their results are put together in order.
 //!
 //! ```
-//! use rogs_splat::{Camera, Colour, Gaussians, RasterConfig, render};
+//! use rogs_splat::{Colour, Gaussians, RasterCamera, RasterConfig, render};
 //!
 //! let scene = Gaussians {
 //!     means: vec![0.0, 0.0, 2.0],
@@ -26,7 +26,7 @@
 //!     extra: Vec::new(),
 //!     extra_channels: 0,
 //! };
-//! let camera = Camera {
+//! let camera = RasterCamera {
 //!     width: 32,
 //!     height: 24,
 //!     fx: 30.0,
@@ -63,7 +63,7 @@ pub use backward::{
     Gradients, PoseGradient, RenderGradient, Tape, backward, backward_into, backward_views, render_views_with_tape,
     render_with_tape,
 };
-pub use camera::{Camera, Mode, RasterConfig, field_camera};
+pub use camera::{Mode, RasterCamera, RasterConfig};
 pub use contributions::{
     Contributions, Eligible, pool_in_parts, render_views_with_contributions, render_with_contributions,
 };

@@ -1,7 +1,7 @@
 //! One interface to the rasteriser wherever it runs: on the processor, or (feature `gpu`) on a graphics processor.
 
 use crate::backward::{self, Gradients, PoseGradient, RenderGradient, Tape};
-use crate::camera::{Camera, RasterConfig};
+use crate::camera::{RasterCamera, RasterConfig};
 use crate::contributions::{self, Contributions, Eligible};
 use crate::error::{Result, SplatError};
 use crate::gaussians::Gaussians;
@@ -78,7 +78,7 @@ impl RasterDevice {
     pub fn render_views(
         &self,
         gaussians: &Gaussians,
-        cameras: &[Camera],
+        cameras: &[RasterCamera],
         config: &RasterConfig,
     ) -> Result<Vec<Render>> {
         match self {
@@ -95,7 +95,7 @@ impl RasterDevice {
     pub fn render_views_with_tape(
         &self,
         gaussians: &Gaussians,
-        cameras: &[Camera],
+        cameras: &[RasterCamera],
         config: &RasterConfig,
     ) -> Result<(Vec<Render>, RasterTape)> {
         match self {
@@ -138,7 +138,7 @@ impl RasterDevice {
     pub fn render_views_with_contributions(
         &self,
         gaussians: &Gaussians,
-        cameras: &[Camera],
+        cameras: &[RasterCamera],
         config: &RasterConfig,
         eligible: &Eligible,
     ) -> Result<(Vec<Render>, RasterContributions)> {

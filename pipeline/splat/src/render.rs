@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use rogs_schemas::units::m_from_iu;
 
-use crate::camera::{ALPHA_FLOOR, Camera, RasterConfig, View};
+use crate::camera::{ALPHA_FLOOR, RasterCamera, RasterConfig, View};
 use crate::error::{Result, SplatError};
 use crate::gaussians::Gaussians;
 use crate::order::TileList;
@@ -61,7 +61,7 @@ pub struct Counts {
 /// # Errors
 /// When arrays, camera or settings make no sense. Bad values of single Gaussians are no error: these are dropped and
 /// counted in [`Counts::invalid`].
-pub fn render(gaussians: &Gaussians, camera: &Camera, config: &RasterConfig) -> Result<Render> {
+pub fn render(gaussians: &Gaussians, camera: &RasterCamera, config: &RasterConfig) -> Result<Render> {
     match render_views(gaussians, std::slice::from_ref(camera), config)?.pop() {
         Some(render) => Ok(render),
         None => Err(SplatError::Setting {
@@ -76,7 +76,7 @@ pub fn render(gaussians: &Gaussians, camera: &Camera, config: &RasterConfig) -> 
 ///
 /// # Errors
 /// As [`render`]; the first view with an error.
-pub fn render_views(gaussians: &Gaussians, cameras: &[Camera], config: &RasterConfig) -> Result<Vec<Render>> {
+pub fn render_views(gaussians: &Gaussians, cameras: &[RasterCamera], config: &RasterConfig) -> Result<Vec<Render>> {
     let views = check_views(gaussians, cameras, config)?;
     for_each_view(gaussians, &views, config, |_, view, projection| {
         let work = Work {
@@ -91,7 +91,7 @@ pub fn render_views(gaussians: &Gaussians, cameras: &[Camera], config: &RasterCo
 }
 
 /// Checks all inputs of a render and prepares the cameras.
-pub(crate) fn check_views(gaussians: &Gaussians, cameras: &[Camera], config: &RasterConfig) -> Result<Vec<View>> {
+pub(crate) fn check_views(gaussians: &Gaussians, cameras: &[RasterCamera], config: &RasterConfig) -> Result<Vec<View>> {
     gaussians.validate()?;
     config.validate()?;
     cameras

@@ -6,7 +6,7 @@ mod common {
 }
 
 use common::{random, room};
-use rogs_splat::{Camera, Colour, Gaussians, Mode, RasterConfig, RenderGradient, backward, render_with_tape};
+use rogs_splat::{Colour, Gaussians, Mode, RasterCamera, RasterConfig, RenderGradient, backward, render_with_tape};
 
 /// All inputs of a render as one vector of float64, in this order.
 struct Layout {
@@ -47,7 +47,7 @@ impl Layout {
 /// Weights of the outputs in the loss: rgb, alpha, depth accumulated, depth expected, extra accumulated, extra.
 struct Weights([Vec<f32>; 6]);
 
-fn loss(layout: &Layout, all: &[f64], camera: &Camera, config: &RasterConfig, weights: &Weights) -> f64 {
+fn loss(layout: &Layout, all: &[f64], camera: &RasterCamera, config: &RasterConfig, weights: &Weights) -> f64 {
     let parts = layout.split(all);
     let [means, quats, scales, opacities, colours, extra, r, t, background] = parts[..] else {
         panic!()
@@ -227,7 +227,7 @@ fn check(seed: u64, degree: Option<usize>, extra: usize, mode: Mode) {
     scene.opacities.iter_mut().for_each(|o| *o = 0.15 + 0.7 * *o);
     scene.scales.iter_mut().for_each(|s| *s = s.clamp(0.03, 0.5));
     let camera = random::camera(26, 19);
-    let camera = Camera {
+    let camera = RasterCamera {
         rotation: camera.rotation.map(|v| f64::from(v as f32)),
         translation: camera.translation.map(|v| f64::from(v as f32)),
         ..camera

@@ -10,8 +10,9 @@ mod room;
 
 use common::{goldens, worst};
 use rogs_splat::{
-    Camera, Colour, Eligible, Gaussians, GpuDevice, GpuScene, Gradients, Mode, PoseGradient, RasterConfig, Render,
-    RenderGradient, backward_views, gpu, render, render_views, render_views_with_contributions, render_views_with_tape,
+    Colour, Eligible, Gaussians, GpuDevice, GpuScene, Gradients, Mode, PoseGradient, RasterCamera, RasterConfig,
+    Render, RenderGradient, backward_views, gpu, render, render_views, render_views_with_contributions,
+    render_views_with_tape,
 };
 
 /// The device, unless there is none.
@@ -130,8 +131,8 @@ fn assert_gradients(ours: &(Gradients, Vec<PoseGradient>), reference: &(Gradient
 struct Loss(Vec<[Vec<f32>; 6]>);
 
 impl Loss {
-    fn new(cameras: &[Camera], channels: usize) -> Self {
-        let view = |(seed, camera): (usize, &Camera)| {
+    fn new(cameras: &[RasterCamera], channels: usize) -> Self {
+        let view = |(seed, camera): (usize, &RasterCamera)| {
             let pixels = camera.pixels();
             std::array::from_fn(|k| {
                 let per = [3, 1, 1, 1, channels, channels][k];
@@ -156,7 +157,7 @@ impl Loss {
     }
 }
 
-fn cameras(sizes: &[(u32, u32)]) -> Vec<Camera> {
+fn cameras(sizes: &[(u32, u32)]) -> Vec<RasterCamera> {
     let moved = |(index, &(width, height)): (usize, &(u32, u32))| {
         let mut camera = random::camera(width, height);
         camera.translation[0] += 0.1 * index as f64;
@@ -435,7 +436,7 @@ fn many_gaussians_on_one_pixel() {
         extra: Vec::new(),
         extra_channels: 0,
     };
-    let camera = Camera {
+    let camera = RasterCamera {
         rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         translation: [0.0; 3],
         cx: 10.5,

@@ -8,8 +8,9 @@ mod common {
 
 use common::{random, room};
 use rogs_splat::{
-    Camera, Colour, Eligible, Gaussians, Gradients, Mode, RasterConfig, Render, RenderGradient, SimdLevel, backward,
-    pool_in_parts, render, render_views, render_views_with_contributions, render_with_contributions, render_with_tape,
+    Colour, Eligible, Gaussians, Gradients, Mode, RasterCamera, RasterConfig, Render, RenderGradient, SimdLevel,
+    backward, pool_in_parts, render, render_views, render_views_with_contributions, render_with_contributions,
+    render_with_tape,
 };
 
 fn bits(values: &[f32]) -> Vec<u32> {
@@ -52,7 +53,7 @@ fn assert_same_gradients(a: &Gradients, b: &Gradients, what: &str) {
 }
 
 /// Forward and backward with a fixed random loss on all outputs.
-fn gradients(scene: &Gaussians, camera: &Camera, config: &RasterConfig) -> Gradients {
+fn gradients(scene: &Gaussians, camera: &RasterCamera, config: &RasterConfig) -> Gradients {
     let pixels = camera.pixels();
     let (rgb, alpha) = (room::normals(3 * pixels, 1), room::normals(pixels, 2));
     let (depth, extra) = (
@@ -349,7 +350,7 @@ fn a_gaussian_behind_an_opaque_stack_changes_nothing() {
             extra_channels: 0,
         }
     };
-    let camera = Camera {
+    let camera = RasterCamera {
         rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         translation: [0.0; 3],
         ..random::camera(40, 30)

@@ -8,8 +8,8 @@ mod common {
 use common::{random, room};
 use proptest::prelude::*;
 use rogs_splat::{
-    Camera, Colour, Eligible, Gaussians, Gradients, Mode, RasterConfig, Render, RenderGradient, SimdLevel, backward,
-    render, render_with_contributions, render_with_tape,
+    Colour, Eligible, Gaussians, Gradients, Mode, RasterCamera, RasterConfig, Render, RenderGradient, SimdLevel,
+    backward, render, render_with_contributions, render_with_tape,
 };
 
 fn finite(render: &Render) -> bool {
@@ -35,7 +35,7 @@ fn finite_gradients(g: &Gradients) -> bool {
 }
 
 /// Renders, differentiates, pools; everything must be finite.
-fn exercise(scene: &Gaussians, camera: &Camera, config: &RasterConfig) -> Render {
+fn exercise(scene: &Gaussians, camera: &RasterCamera, config: &RasterConfig) -> Render {
     let image = render(scene, camera, config).unwrap();
     assert!(finite(&image), "image");
     let pixels = camera.pixels();
@@ -126,7 +126,7 @@ fn harmonics_that_are_not_numbers_are_dropped_and_counted() {
 
 #[test]
 fn extreme_but_finite_scenes_stay_finite() {
-    let identity = Camera {
+    let identity = RasterCamera {
         rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         translation: [0.0; 3],
         ..random::camera(30, 20)
@@ -189,7 +189,7 @@ fn colours_whose_sums_would_leave_the_range_are_dropped_and_counted() {
 /// Gaussians on and around the camera plane, with the near plane as close as it can be.
 #[test]
 fn gaussians_on_the_camera_plane_are_not_drawn() {
-    let camera = Camera {
+    let camera = RasterCamera {
         rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         translation: [0.0; 3],
         ..random::camera(20, 20)
@@ -252,7 +252,7 @@ fn a_million_gaussians_on_one_pixel_render() {
         extra: Vec::new(),
         extra_channels: 0,
     };
-    let camera = Camera {
+    let camera = RasterCamera {
         rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         translation: [0.0; 3],
         cx: 10.5,
@@ -270,7 +270,7 @@ fn senseless_calls_are_errors() {
     let scene = random::scene(10, 4, None, 0);
     let camera = random::camera(20, 20);
     let config = RasterConfig::default();
-    let fails = |scene: &Gaussians, camera: &Camera, config: &RasterConfig| {
+    let fails = |scene: &Gaussians, camera: &RasterCamera, config: &RasterConfig| {
         render(scene, camera, config).unwrap_err().to_string()
     };
     let short = Gaussians {
@@ -286,12 +286,12 @@ fn senseless_calls_are_errors() {
         ..scene.clone()
     };
     assert!(fails(&high, &camera, &config).contains("degree"));
-    assert!(fails(&scene, &Camera { width: 0, ..camera }, &config).contains("image sides"));
-    assert!(fails(&scene, &Camera { fx: f64::NAN, ..camera }, &config).contains("focal"));
+    assert!(fails(&scene, &RasterCamera { width: 0, ..camera }, &config).contains("image sides"));
+    assert!(fails(&scene, &RasterCamera { fx: f64::NAN, ..camera }, &config).contains("focal"));
     assert!(
         fails(
             &scene,
-            &Camera {
+            &RasterCamera {
                 translation: [f64::INFINITY, 0.0, 0.0],
                 ..camera
             },
@@ -394,7 +394,7 @@ proptest! {
         size in (0_u32..40, 0_u32..40),
         seed in 0_u64..1000,
     ) {
-        let camera = Camera {
+        let camera = RasterCamera {
             width: size.0,
             height: size.1,
             fx: values[0],

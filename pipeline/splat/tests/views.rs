@@ -7,12 +7,12 @@ mod common {
 
 use common::{random, room};
 use rogs_splat::{
-    Camera, Gaussians, Gradients, Mode, PoseGradient, RasterConfig, Render, RenderGradient, backward, backward_into,
-    backward_views, render, render_views, render_views_with_tape,
+    Gaussians, Gradients, Mode, PoseGradient, RasterCamera, RasterConfig, Render, RenderGradient, backward,
+    backward_into, backward_views, render, render_views, render_views_with_tape,
 };
 
 /// More cameras than are projected together, of several sizes.
-fn cameras() -> Vec<Camera> {
+fn cameras() -> Vec<RasterCamera> {
     [(70, 50), (20, 90), (64, 64), (33, 31), (80, 20), (16, 16), (50, 40)]
         .into_iter()
         .enumerate()
@@ -36,8 +36,8 @@ fn config() -> RasterConfig {
 struct Loss(Vec<[Vec<f32>; 3]>);
 
 impl Loss {
-    fn new(scene: &Gaussians, cameras: &[Camera]) -> Self {
-        let view = |(seed, camera): (usize, &Camera)| {
+    fn new(scene: &Gaussians, cameras: &[RasterCamera]) -> Self {
+        let view = |(seed, camera): (usize, &RasterCamera)| {
             let pixels = camera.pixels();
             [3, 1, scene.extra_channels].map(|channels| room::normals(channels * pixels, (10 * seed + channels) as u64))
         };

@@ -7,11 +7,11 @@ use std::io::Write as _;
 use std::process::{Command, Stdio};
 
 use burn::tensor::{Device, Tensor};
+use glam::DVec3;
+use rogs_geometry::Pose;
 use rogs_kernels::RotaryTable;
 use rogs_stage1::block::{Block, BlockKind};
-use rogs_stage1::{
-    Attention, Camera, Encoded, FramePose, HeadKind, Precision, SourceFrames, Stage1, Stage1Config, seeded,
-};
+use rogs_stage1::{Attention, Encoded, HeadKind, NetworkCamera, Precision, SourceFrames, Stage1, Stage1Config, seeded};
 use rogs_tensors::ops::Rotary;
 use rogs_tensors::parameters::from_host;
 
@@ -124,15 +124,14 @@ fn whole(network: &Stage1) -> Result<f64, Box<dyn std::error::Error>> {
     let device = Device::flex();
     let pixels = FRAMES * 3 * SIZE[0] * SIZE[1];
     let images: Vec<f32> = (0..pixels).map(|k| ((k * 7919) % 256) as f32 / 255.0).collect();
-    let camera = Camera {
-        rotation: [1., 0., 0., 0., 1., 0., 0., 0., 1.],
-        translation_iu: [0.1, 0.2, 0.3],
+    let camera = NetworkCamera {
+        world_from_camera_iu: Pose::from_translation(DVec3::new(0.1, 0.2, 0.3)),
         focal_centre: [0.7, 1.2, 0.5, 0.5],
     };
     let frames = SourceFrames {
         images: from_host(images, [FRAMES, 3, SIZE[0], SIZE[1]], &device),
         cameras: vec![camera; FRAMES],
-        base: FramePose::IDENTITY,
+        recon_from_base_iu: Pose::IDENTITY,
         times: (0..FRAMES).map(|frame| (frame % 5) as f32 / 4.0).collect(),
         attention: Attention::Joint,
     };

@@ -1,6 +1,8 @@
 //! Times the parts of the Stage-1 network on random frames: `cargo run --release -p rogs-stage1 --example stage1_time`.
 use burn::tensor::{Device, Tensor};
-use rogs_stage1::{Attention, Camera, FramePose, HeadKind, SourceFrames, Stage1Config, seeded};
+use glam::DVec3;
+use rogs_geometry::Pose;
+use rogs_stage1::{Attention, HeadKind, NetworkCamera, SourceFrames, Stage1Config, seeded};
 use rogs_tensors::parameters::{from_host, to_host};
 use std::time::Instant;
 
@@ -16,15 +18,14 @@ fn main() {
         .map(|k| ((k * 7919) % 256) as f32 / 255.0)
         .collect();
     let images: Tensor<4> = from_host(images, [frames, 3, height, width], &device);
-    let camera = Camera {
-        rotation: [1., 0., 0., 0., 1., 0., 0., 0., 1.],
-        translation_iu: [0.1, 0.2, 0.3],
+    let camera = NetworkCamera {
+        world_from_camera_iu: Pose::from_translation(DVec3::new(0.1, 0.2, 0.3)),
         focal_centre: [0.7, 1.2, 0.5, 0.5],
     };
     let input = SourceFrames {
         images: images.clone(),
         cameras: vec![camera; frames],
-        base: FramePose::IDENTITY,
+        recon_from_base_iu: Pose::IDENTITY,
         times: (0..frames).map(|f| (f % 5) as f32 / 4.0).collect(),
         attention: Attention::Joint,
     };

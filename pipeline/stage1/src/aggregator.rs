@@ -6,7 +6,7 @@ use super::block::{Block, BlockKind};
 use super::config::{POSE_NUMBERS, Stage1Config};
 use super::encoder::patch_projection;
 use super::frames::Attention;
-use super::geometry::{Camera, encode_time, ray_maps};
+use super::geometry::{NetworkCamera, encode_time, ray_maps};
 use super::positions::token_positions;
 use crate::{Error, Result};
 use rogs_kernels::{Precision, RotaryTable};
@@ -50,7 +50,7 @@ impl<'a> Aggregator<'a> {
     ///
     /// # Errors
     /// When a tensor is missing or has another shape.
-    pub fn ray_embedding(&self, cameras: &[Camera], [height, width]: [usize; 2]) -> Result<Tensor<3>> {
+    pub fn ray_embedding(&self, cameras: &[NetworkCamera], [height, width]: [usize; 2]) -> Result<Tensor<3>> {
         let maps = ray_maps(cameras, [height, width], self.parameters.device());
         let (channels, patch) = (self.config.width, self.config.patch);
         let scope = self.parameters.scope("backbone.plucker_embed.net");
@@ -77,7 +77,7 @@ impl<'a> Aggregator<'a> {
     ///
     /// # Errors
     /// When a tensor is missing or has another shape.
-    pub fn tokens(&self, patches: Tensor<3>, cameras: &[Camera], times: &[f32]) -> Result<Tensor<3>> {
+    pub fn tokens(&self, patches: Tensor<3>, cameras: &[NetworkCamera], times: &[f32]) -> Result<Tensor<3>> {
         let Stage1Config { width, registers, .. } = *self.config;
         let (scope, device, frames) = (
             self.parameters.scope("backbone.backbone"),
@@ -90,7 +90,7 @@ impl<'a> Aggregator<'a> {
             .collect();
         let encodings = from_host(encodings, [frames, self.config.time_numbers()], device);
         let time = Linear::load(&scope.child("time_embed"), width, self.config.time_numbers())?.forward(encodings);
-        let numbers = cameras.iter().flat_map(Camera::pose_numbers).collect();
+        let numbers = cameras.iter().flat_map(NetworkCamera::pose_numbers).collect();
         let numbers = from_host(numbers, [frames, POSE_NUMBERS], device);
         let pose = Linear::load(&scope.child("extra_embed"), width, POSE_NUMBERS)?.forward(numbers);
         let camera = scope.get("camera_token", [1, 2, 1, width])?.squeeze_dim::<3>(0);

@@ -1,10 +1,11 @@
 //! The source frames of a clip, as every part of the network takes them.
 
 use burn::tensor::Tensor;
+use rogs_geometry::{Base, Pose, Recon};
 use rogs_tensors::parameters::from_host;
 
 use super::config::{RGB_MEAN, RGB_STD};
-use super::geometry::{Camera, FramePose};
+use super::geometry::NetworkCamera;
 
 /// Which tokens a token of a global block sees.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -19,10 +20,10 @@ pub enum Attention {
 pub struct SourceFrames {
     /// RGB in [0, 1]. `[S, 3, H, W]`
     pub images: Tensor<4>,
-    /// Camera of each frame, internal units. `[S]`
-    pub cameras: Vec<Camera>,
-    /// The base of the robot: recon_from_base. Only a plane sweep reads it.
-    pub base: FramePose,
+    /// Camera of each frame. `[S]`
+    pub cameras: Vec<NetworkCamera>,
+    /// Where the base of the robot stands, internal units. Only a plane sweep reads it.
+    pub recon_from_base_iu: Pose<Recon, Base>,
     /// Normalised time of each frame. `[S]`
     pub times: Vec<f32>,
     /// What global blocks see.

@@ -29,7 +29,7 @@ pub use checkpoint::{LoadedStage1, STAGE1, open_stage1, stage1_metadata, verify_
 pub use config::{HeadKind, Stage1Config};
 pub use encoded::Encoded;
 pub use frames::{Attention, SourceFrames};
-pub use geometry::{Camera, FramePose};
+pub use geometry::NetworkCamera;
 pub use import::{ImportReport, ImportRequest, Origin, generate_stage1, import_stage1, merge_lora};
 pub use network::Stage1;
 pub use rogs_kernels::Precision;

@@ -7,7 +7,7 @@ use super::config::{HeadKind, PREFIX, Stage1Config};
 use super::encoded::Encoded;
 use super::encoder::Encoder;
 use super::frames::SourceFrames;
-use super::geometry::Camera;
+use super::geometry::NetworkCamera;
 use super::head::{DenseHead, FkBranch, TAP_EPSILON};
 use super::stem::{Local, Stem};
 use super::sweep::Found;
@@ -151,7 +151,7 @@ impl Stage1 {
                 "{count} source images come with {poses} cameras and {times} times"
             )));
         }
-        cameras.iter().try_for_each(Camera::validate)?;
+        cameras.iter().try_for_each(NetworkCamera::validate)?;
         let aggregator = self.aggregator();
         let rays = aggregator.normalise_rays(aggregator.ray_embedding(cameras, [height, width])?)?;
         aggregator.tokens(tokens + rays, cameras, times)

@@ -6,7 +6,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use burn::tensor::{Device, Tensor};
-use rogs_stage1::{Attention, Camera, FramePose, SourceFrames, Stage1, Stage1Config, layout};
+use rogs_geometry::Pose;
+use rogs_stage1::{Attention, NetworkCamera, SourceFrames, Stage1, Stage1Config, layout};
 use rogs_stage1::{
     ImportRequest, Origin, generate_stage1, import_stage1, merge_lora, open_stage1, stage1_metadata, verify_stage1,
 };
@@ -25,15 +26,14 @@ fn source(name: &str, shape: &[usize], values: Vec<f32>) -> TensorSource<'static
 
 fn frames(device: &Device) -> SourceFrames {
     let images: Vec<f32> = (0..2 * 3 * 28 * 42).map(|k| ((k * 31) % 97) as f32 / 97.0).collect();
-    let camera = Camera {
-        rotation: [1., 0., 0., 0., 1., 0., 0., 0., 1.],
-        translation_iu: [0.; 3],
+    let camera = NetworkCamera {
+        world_from_camera_iu: Pose::IDENTITY,
         focal_centre: [0.7, 1.0, 0.5, 0.5],
     };
     SourceFrames {
         images: rogs_tensors::parameters::from_host(images, [2, 3, 28, 42], device),
         cameras: vec![camera; 2],
-        base: FramePose::IDENTITY,
+        recon_from_base_iu: Pose::IDENTITY,
         times: vec![0.0, 1.0],
         attention: Attention::Joint,
     }

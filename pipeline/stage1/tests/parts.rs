@@ -3,12 +3,13 @@
 mod support;
 
 use burn::tensor::{Device, Tensor};
+use rogs_field::attributes;
+use rogs_geometry::Pose;
 use rogs_kernels::RotaryTable;
 use rogs_stage1::adapter::{LatentAdapter, to_token_cells};
 use rogs_stage1::geometry::encode_time;
 use rogs_stage1::positions::{head_positions, resample_positions, resampling_matrix};
-use rogs_field::attributes;
-use rogs_stage1::{Attention, FramePose, HeadKind, Stage1, decode, distillation};
+use rogs_stage1::{Attention, HeadKind, Stage1, decode, distillation};
 use rogs_tensors::ops::{Linear, Rotary, standardise};
 use rogs_tensors::parameters::{Parameters, from_host};
 use support::{Golden, close, host, tiny};
@@ -366,7 +367,7 @@ fn support_frames(golden: &Golden, device: &Device) -> rogs_stage1::SourceFrames
     rogs_stage1::SourceFrames {
         images: golden.tensor("in.images", [4, 3, 28, 42], device),
         cameras: golden.cameras("in.C2W", "in.fxfycxcy"),
-        base: FramePose::IDENTITY,
+        recon_from_base_iu: Pose::IDENTITY,
         times: golden.values("in.input_timesteps").to_vec(),
         attention: Attention::Joint,
     }

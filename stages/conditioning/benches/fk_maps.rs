@@ -8,7 +8,7 @@ use std::time::Instant;
 use rayon::ThreadPoolBuilder;
 use rayon::prelude::*;
 use rogs_conditioning::fk_maps::{LinkDisplacement, SourcePoints, fill_dense_batch, link_displacement};
-use rogs_geometry::{Camera, Link, Pinhole, Pose, Recon};
+use rogs_geometry::{Camera, Link, Pinhole, Pose, PosedCamera, Recon};
 use rogs_schemas::Intrinsics;
 
 const VIEWS: usize = 15;
@@ -111,8 +111,7 @@ impl Workload {
             .map(|&id| u8::from(id != NO_LINK))
             .collect();
         SourcePoints::new(
-            &self.camera,
-            &self.recon_from_camera[view],
+            &PosedCamera::new(self.camera, self.recon_from_camera[view]),
             &self.depth[range.clone()],
             &self.ids[range],
             &support,

@@ -1,7 +1,7 @@
 //! From a clip and its robot maps to the conditioning record.
 
 use rayon::prelude::*;
-use rogs_geometry::{Base, Camera, Link, Pinhole, Pose, Recon};
+use rogs_geometry::{Base, Link, Pose, PosedCamera, Recon};
 use rogs_schemas::records::clip::{Clip, SourceView};
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::robot::{RobotMap, RobotMaps};
@@ -112,16 +112,10 @@ impl<'a> Scene<'a> {
 
     fn view(&self, view: &SourceView, query_frames: &[u32], params: &Params) -> StageResult<ViewConditioning> {
         let map = self.map(view)?;
-        let camera = &self.clip.cameras[view.camera as usize];
-        let pinhole = Pinhole {
-            intrinsics: camera.intrinsics,
-            width: self.clip.width,
-            height: self.clip.height,
-        };
-        let pose = &self.robot.base_from_camera[view.camera as usize * self.clip.frame_count() + view.frame as usize];
-        let base_from_camera: Pose<Base, Camera> = Pose::from_rigid(pose).map_err(bad_pose)?;
-        let recon_from_camera = self.recon_from_base * base_from_camera;
-        let points = SourcePoints::new(&pinhole, &recon_from_camera, &map.depth_m, &map.link, &map.support);
+        let camera =
+            PosedCamera::of_clip(self.clip, self.robot, view.camera as usize, view.frame as usize).map_err(bad_pose)?;
+        let in_recon = camera.in_frame(&self.recon_from_base);
+        let points = SourcePoints::new(&in_recon, &map.depth_m, &map.link, &map.support);
         let links = self.robot.link_names.len();
         if let Some(link) = points.link.iter().find(|&&link| usize::from(link) >= links) {
             return Err(StageError::bad_input(format!(
@@ -137,7 +131,7 @@ impl<'a> Scene<'a> {
                 points.displace(&self.displacements(view.frame, query), out);
             }
         }
-        let prior = self.prior(&pinhole, &base_from_camera, view.frame, params);
+        let prior = self.prior(&camera, view.frame, params);
         let SourcePoints {
             pixels, link, depth_m, ..
         } = points;
@@ -178,28 +172,23 @@ impl<'a> Scene<'a> {
             .collect()
     }
 
-    fn prior(
-        &self,
-        pinhole: &Pinhole,
-        base_from_camera: &Pose<Base, Camera>,
-        frame: u32,
-        params: &Params,
-    ) -> GripperPrior {
+    fn prior(&self, camera: &PosedCamera<Base>, frame: u32, params: &Params) -> GripperPrior {
         let start = frame as usize * 3;
         let tool = glam::DVec3::from_slice(&self.robot.tool_m[start..start + 3]);
-        let in_camera = base_from_camera.inverse().point(tool);
-        let centre = pinhole
+        let in_camera = camera.world_from_camera.inverse().point(tool);
+        let centre = camera
+            .lens
             .project(in_camera)
             .map_or([0.0, 0.0], |(pixel, _)| pixel.to_array());
         GripperPrior {
             centre_px: centre,
             depth_m: in_camera.z,
-            focal_px: [pinhole.intrinsics.fx, pinhole.intrinsics.fy],
+            focal_px: [camera.lens.intrinsics.fx, camera.lens.intrinsics.fy],
             sigma_m: params.prior_sigma_m,
         }
     }
 }
 
 fn bad_pose(error: rogs_geometry::Error) -> StageError {
-    StageError::bad_input(error.chain())
+    StageError::bad_input(error.to_string())
 }

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
-use rogs_geometry::{Camera, Link, Pinhole, Pose, Recon};
+use rogs_geometry::{Link, Pose, PosedCamera, Recon};
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, KAPPA_CHANNELS};
 use rogs_schemas::units::UNITS_PER_METRE;
 
@@ -58,19 +58,17 @@ impl SourcePoints {
     /// # Panics
     /// When a map is smaller than the camera's image.
     #[must_use]
-    pub fn new(
-        camera: &Pinhole,
-        recon_from_camera: &Pose<Recon, Camera>,
-        depth_m: &[f32],
-        link: &[u8],
-        support: &[u8],
-    ) -> Self {
+    pub fn new(camera: &PosedCamera<Recon>, depth_m: &[f32], link: &[u8], support: &[u8]) -> Self {
+        let PosedCamera {
+            lens,
+            world_from_camera: recon_from_camera,
+        } = camera;
         let mut points = Self::default();
         points.reserve(support.iter().filter(|&&value| value != 0).count());
-        let columns: Vec<f64> = (0..camera.width).map(|column| camera.ray(column, 0).x).collect();
-        for row in 0..camera.height {
-            let y = camera.ray(0, row).y;
-            let start = (row * camera.width) as usize;
+        let columns: Vec<f64> = (0..lens.width).map(|column| lens.ray(column, 0).x).collect();
+        for row in 0..lens.height {
+            let y = lens.ray(0, row).y;
+            let start = (row * lens.width) as usize;
             for (column, &x) in columns.iter().enumerate() {
                 let pixel = start + column;
                 if support[pixel] == 0 {
@@ -243,8 +241,10 @@ fn scatter(pixels: &[u32], depth_m: &[f32], displacement: &[f32], area: usize, o
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use rogs_geometry::Pinhole;
     use rogs_schemas::Intrinsics;
+
+    use super::*;
 
     #[test]
     fn the_batch_fill_equals_the_scattered_sparse_form() {
@@ -255,7 +255,7 @@ mod tests {
             cx: 6.0,
             cy: 3.5,
         };
-        let camera = Pinhole {
+        let lens = Pinhole {
             intrinsics,
             width: w,
             height: h,
@@ -267,7 +267,8 @@ mod tests {
         let link: Vec<u8> = (0..area).map(|pixel| u8::from(pixel % 12 > 6)).collect();
         let depth: Vec<f32> = (0..area).map(|pixel| 0.5 + 0.01 * pixel as f32).collect();
         let recon_from_camera = Pose::from_xyz_euler([0.1, 0.2, 0.3], [0.4, 0.5, 0.6]);
-        let points = SourcePoints::new(&camera, &recon_from_camera, &depth, &link, &support);
+        let camera = PosedCamera::new(lens, recon_from_camera);
+        let points = SourcePoints::new(&camera, &depth, &link, &support);
         let pose = |value: f64| Pose::<Recon, Link>::from_xyz_euler([value, 0.0, 0.1], [0.2, value, 0.0]);
         let links = vec![
             vec![

@@ -2,7 +2,7 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use rogs_geometry::transform::{Base, Camera, Pose};
+use rogs_geometry::{Base, Camera, Pose};
 use rogs_schemas::{Intrinsics, RigidPose};
 use rogs_worker::{StageError, StageResult};
 

@@ -5,6 +5,7 @@ use std::sync::OnceLock;
 use burn::tensor::{Device, Tensor};
 use rayon::prelude::*;
 use rogs_field::MotionGates;
+use rogs_geometry::quaternion_product;
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 use rogs_schemas::records::field::{GATE_ATTRIBUTES, RAW_CHANNELS, TimeSlice};
 use rogs_schemas::records::robot::NO_LINK;
@@ -71,7 +72,7 @@ pub(crate) fn lift_base(
     };
     for (index, (view, (depth, raw))) in source.views.iter().zip(maps).enumerate() {
         let mut selected = Vec::with_capacity(area);
-        let focal = view.intrinsics.fx.min(view.intrinsics.fy) as f32;
+        let focal = view.lens.intrinsics.fx.min(view.lens.intrinsics.fy) as f32;
         for pixel in 0..area {
             let mesh = if params.anchoring {
                 mesh_depth_m(view.map, pixel)
@@ -286,16 +287,4 @@ fn move_with_links(displacement_iu: &mut [f32], robot: &RobotAtTime, links: &[u8
             displacement_iu[axis * area + pixel] = robot.kappa[(2 + axis) * area + pixel];
         }
     }
-}
-
-/// Hamilton product a b of quaternions (w, x, y, z).
-pub(crate) fn quaternion_product(a: [f32; 4], b: [f32; 4]) -> [f32; 4] {
-    let [aw, ax, ay, az] = a;
-    let [bw, bx, by, bz] = b;
-    [
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    ]
 }

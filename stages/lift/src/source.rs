@@ -1,14 +1,14 @@
 //! The source frames of a clip as the network sees them: reconstruction frame, internal units.
 
 use burn::tensor::{Device, Tensor};
-use glam::{DQuat, DVec3};
-use rogs_geometry::transform::{Base, Camera as CameraFrame, Link, Pose, Recon};
-use rogs_schemas::Intrinsics;
+use glam::DVec3;
+use rogs_geometry::{Base, Frame, Link, Pinhole, Pose, PosedCamera, Recon, wxyz_f32};
+use rogs_schemas::RigidPose;
 use rogs_schemas::records::clip::{Clip, SourceView, time_of_frame};
 use rogs_schemas::records::conditioning::{Conditioning, KAPPA_CHANNELS};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
-use rogs_schemas::units::UNITS_PER_METRE;
-use rogs_stage1::{Attention, Camera, FramePose, SourceFrames};
+use rogs_schemas::units::{LengthUnit, UNITS_PER_METRE};
+use rogs_stage1::{Attention, NetworkCamera, SourceFrames};
 use rogs_tensors::parameters::from_host;
 use rogs_worker::{StageError, StageResult};
 
@@ -22,8 +22,8 @@ pub(crate) struct View<'a> {
     /// Index among the views of the conditioning record.
     pub(crate) conditioning: usize,
     pub(crate) map: &'a RobotMap,
-    pub(crate) camera: Camera,
-    pub(crate) intrinsics: Intrinsics,
+    pub(crate) camera: NetworkCamera,
+    pub(crate) lens: Pinhole,
     rgb: &'a [u8],
 }
 
@@ -33,8 +33,8 @@ pub(crate) struct Source<'a> {
     pub(crate) robot: &'a RobotMaps,
     pub(crate) conditioning: &'a Conditioning,
     pub(crate) views: Vec<View<'a>>,
-    /// The base of the robot: recon_from_base.
-    pub(crate) base: FramePose,
+    /// Where the base of the robot stands, internal units.
+    pub(crate) recon_from_base_iu: Pose<Recon, Base>,
 }
 
 /// How the robot moves from one view's time to a query time.
@@ -80,7 +80,7 @@ impl<'a> Source<'a> {
             robot,
             conditioning,
             views,
-            base: base(&recon_from_base),
+            recon_from_base_iu: recon_from_base.in_unit(LengthUnit::Internal),
         })
     }
 
@@ -115,7 +115,7 @@ impl<'a> Source<'a> {
         let frames = SourceFrames {
             images: images.clone(),
             cameras: self.views.iter().map(|view| view.camera).collect(),
-            base: self.base,
+            recon_from_base_iu: self.recon_from_base_iu,
             times: self
                 .views
                 .iter()
@@ -159,10 +159,9 @@ impl<'a> Source<'a> {
                 }
             }
         }
-        let wxyz = |q: DQuat| [q.w as f32, q.x as f32, q.y as f32, q.z as f32];
         Ok(RobotAtTime {
             kappa,
-            link_rotation: motions.iter().map(|motion| wxyz(motion.quaternion())).collect(),
+            link_rotation: motions.iter().map(|motion| wxyz_f32(motion.quaternion())).collect(),
         })
     }
 
@@ -227,11 +226,6 @@ fn gather<'a>(
         .as_ref()
         .and_then(|rgb| rgb.get(frame * area * 3..(frame + 1) * area * 3))
         .ok_or_else(|| missing("source image"))?;
-    let stored = robot
-        .base_from_camera
-        .get(view.camera as usize * clip.frame_count() + frame)
-        .ok_or_else(|| missing("camera pose"))?;
-    let recon_from_camera = *recon_from_base * pose::<Base, CameraFrame>(stored)?;
     let same = |map: &&RobotMap| map.camera == view.camera && map.frame == view.frame;
     let map = robot.maps.iter().find(same).ok_or_else(|| missing("robot map"))?;
     let conditioning = conditioning
@@ -239,44 +233,26 @@ fn gather<'a>(
         .iter()
         .position(|other| *other == view)
         .ok_or_else(|| missing("conditioning"))?;
-    let (width, height, intrinsics) = (f64::from(clip.width), f64::from(clip.height), camera.intrinsics);
-    let focal_centre = [
-        intrinsics.fx / width,
-        intrinsics.fy / height,
-        intrinsics.cx / width,
-        intrinsics.cy / height,
-    ];
-    let matrix = recon_from_camera.to_rigid();
-    let translation_iu = matrix.translation.map(|metres| metres * UNITS_PER_METRE);
-    let network_camera = Camera {
-        rotation: matrix.rotation,
-        translation_iu,
-        focal_centre,
-    };
+    let posed = PosedCamera::of_clip(clip, robot, view.camera as usize, frame)
+        .map_err(bad_pose)?
+        .in_frame(recon_from_base);
     Ok(View {
         view,
         conditioning,
         map,
-        camera: network_camera,
-        intrinsics,
+        camera: NetworkCamera::new(&posed),
+        lens: posed.lens,
         rgb,
     })
 }
 
-/// The base of the robot as the network sees it.
-fn base(recon_from_base: &Pose<Recon, Base>) -> FramePose {
-    let matrix = recon_from_base.to_rigid();
-    FramePose {
-        rotation: matrix.rotation,
-        translation_iu: matrix.translation.map(|metres| metres * UNITS_PER_METRE),
-    }
+/// A stored pose with its frames.
+fn pose<A: Frame, B: Frame>(stored: &RigidPose) -> StageResult<Pose<A, B>> {
+    Pose::from_rigid(stored).map_err(bad_pose)
 }
 
-/// A stored pose with its frames.
-fn pose<A: rogs_geometry::transform::Frame, B: rogs_geometry::transform::Frame>(
-    stored: &rogs_schemas::RigidPose,
-) -> StageResult<Pose<A, B>> {
-    Pose::from_rigid(stored).map_err(|error| StageError::bad_input(error.to_string()))
+fn bad_pose(error: rogs_geometry::Error) -> StageError {
+    StageError::bad_input(error.to_string())
 }
 
 /// Mesh depth in metres of a pixel with valid robot support.

@@ -13,12 +13,13 @@ use std::path::Path;
 
 use burn::tensor::Device;
 use rogs_field::TimedField;
+use rogs_geometry::PosedCamera;
 use rogs_refine::training::{AdamW, TrainingOptions, training_step};
 use rogs_refine::{LoadedRefiner, RefineParams, refine};
 use rogs_schemas::records::field::WeightsInfo;
 use rogs_schemas::records::refinement::Refinement;
-use rogs_schemas::units::UNITS_PER_METRE;
-use rogs_splat::{Camera, RasterConfig, render};
+use rogs_schemas::units::LengthUnit;
+use rogs_splat::{RasterCamera, RasterConfig, render};
 use rogs_stage2::{Refiner, RefinerConfig, seeded_parameters};
 use support::{Example, Sizes, example_of};
 
@@ -97,9 +98,8 @@ fn view(clip: &Example, refinement: &Refinement, update: u32, view: usize) -> Re
         None => field,
     };
     let time = rogs_schemas::records::clip::time_of_frame(source.frame, clip.clip.frame_count());
-    let pose = &clip.robot.base_from_camera[source.camera as usize * clip.clip.frame_count() + source.frame as usize];
-    let intrinsics = &clip.clip.cameras[source.camera as usize].intrinsics;
-    let camera = Camera::from_world_pose(SIZES.width, SIZES.height, intrinsics, pose, UNITS_PER_METRE);
+    let camera = PosedCamera::of_clip(&clip.clip, &clip.robot, source.camera as usize, source.frame as usize)?;
+    let camera = RasterCamera::new(&camera, LengthUnit::Internal);
     let image = render(&field.gaussians(time)?, &camera, &RasterConfig::default())?;
     Ok(image.rgb.into_iter().map(|value| value.clamp(0.0, 1.0)).collect())
 }

@@ -1,11 +1,11 @@
 //! What the refinement knows of each source time: its views, cameras, observed images and their features.
 
-use rogs_schemas::RigidPose;
+use rogs_geometry::{Base, Pose, PosedCamera, Recon};
 use rogs_schemas::records::clip::{Clip, time_of_frame};
 use rogs_schemas::records::field::{Field, TimeSlice};
 use rogs_schemas::records::robot::RobotMaps;
-use rogs_schemas::units::UNITS_PER_METRE;
-use rogs_splat::Camera;
+use rogs_schemas::units::LengthUnit;
+use rogs_splat::RasterCamera;
 use rogs_stage2::{FeatureMaps, Plane, Refiner, TokenGrid};
 use rogs_worker::{StageError, StageResult};
 
@@ -17,8 +17,8 @@ pub(crate) struct SourceTime<'a> {
     pub(crate) slice: &'a TimeSlice,
     /// Tokens of the Gaussians that this time owns.
     pub(crate) grid: TokenGrid,
-    /// Source cameras in the reconstruction frame, internal units, in the order of the grid's views.
-    pub(crate) cameras: Vec<Camera>,
+    /// Source cameras in the reconstruction frame, in the order of the grid's views.
+    pub(crate) cameras: Vec<RasterCamera>,
     /// Observed images.
     pub(crate) observed: Vec<Plane>,
     /// Their feature maps.
@@ -81,15 +81,7 @@ fn source_time<'a>(
             channels: 3,
             data,
         });
-        let base_from_camera = &robot.base_from_camera[index * clip.frame_count() + frame as usize];
-        let recon_from_camera = composed(&field.recon_from_base, base_from_camera);
-        cameras.push(Camera::from_world_pose(
-            field.width,
-            field.height,
-            &camera.intrinsics,
-            &recon_from_camera,
-            UNITS_PER_METRE,
-        ));
+        cameras.push(raster_camera(clip, robot, field, index, frame)?);
     }
     let maps = observed.iter().map(|image| refiner.encoder().feature_maps(image));
     let maps = maps
@@ -147,31 +139,24 @@ fn check(clip: &Clip, robot: &RobotMaps, field: &Field) -> StageResult<()> {
     Err(StageError::bad_input(problem).with_hint("all inputs of a job must come from one clip"))
 }
 
-/// `a_from_c` of `a_from_b` and `b_from_c`.
-pub(crate) fn composed(a: &RigidPose, b: &RigidPose) -> RigidPose {
-    let mut rotation = [0.0; 9];
-    let mut translation = a.translation;
-    for row in 0..3 {
-        for column in 0..3 {
-            rotation[row * 3 + column] = (0..3)
-                .map(|k| a.rotation[row * 3 + k] * b.rotation[k * 3 + column])
-                .sum();
-        }
-        translation[row] += (0..3).map(|k| a.rotation[row * 3 + k] * b.translation[k]).sum::<f64>();
-    }
-    RigidPose { rotation, translation }
+/// A camera of the clip at a frame as the field is rendered from it.
+pub(crate) fn raster_camera(
+    clip: &Clip,
+    robot: &RobotMaps,
+    field: &Field,
+    camera: usize,
+    frame: u32,
+) -> StageResult<RasterCamera> {
+    let camera = PosedCamera::of_clip(clip, robot, camera, frame as usize).map_err(bad_pose)?;
+    let in_recon = camera.in_frame(&recon_from_base(field)?);
+    Ok(RasterCamera::new(&in_recon, LengthUnit::Internal))
 }
 
-/// `b_from_a` of `a_from_b`.
-pub(crate) fn inverse(pose: &RigidPose) -> RigidPose {
-    let (r, t) = (&pose.rotation, &pose.translation);
-    let mut rotation = [0.0; 9];
-    let mut translation = [0.0; 3];
-    for row in 0..3 {
-        for column in 0..3 {
-            rotation[row * 3 + column] = r[column * 3 + row];
-        }
-        translation[row] = -(0..3).map(|k| r[k * 3 + row] * t[k]).sum::<f64>();
-    }
-    RigidPose { rotation, translation }
+/// The base in the reconstruction frame of a field, metres.
+pub(crate) fn recon_from_base(field: &Field) -> StageResult<Pose<Recon, Base>> {
+    Pose::from_rigid(&field.recon_from_base).map_err(bad_pose)
+}
+
+pub(crate) fn bad_pose(error: rogs_geometry::Error) -> StageError {
+    StageError::bad_input(error.to_string())
 }

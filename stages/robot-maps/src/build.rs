@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use rayon::prelude::*;
-use rogs_geometry::raster::Renderer;
-use rogs_geometry::{Base, Camera, JointState, Link, MeshScene, Pinhole, Pose, RenderOptions, RobotModel};
+use rogs_geometry::{Base, Camera, Link, Pinhole, Pose};
+use rogs_robot::raster::Renderer;
+use rogs_robot::{JointState, MeshScene, RenderOptions, RobotModel};
 use rogs_schemas::records::clip::{CameraMount, Clip, ClipCamera};
 use rogs_schemas::records::robot::{RobotMap, RobotMaps};
 use rogs_worker::{StageError, StageResult};
@@ -27,7 +28,7 @@ impl Robot {
     /// When the robot cannot be read, or a link or joint of the parameters does not exist.
     pub fn load(urdf: &Path, params: &Params) -> StageResult<Self> {
         let spec = &params.robot;
-        let of_params = |error: rogs_geometry::Error| {
+        let of_params = |error: rogs_robot::Error| {
             StageError::bad_params(format!("{} (robot parameters, `{}`)", error.chain(), urdf.display()))
                 .with_hint("name the robot's links and joints under [params.robot-maps.robot] of the manifest")
         };
@@ -152,10 +153,12 @@ fn camera_poses(
     base_from_link: &[Vec<Pose<Base, Link>>],
 ) -> StageResult<Vec<Pose<Base, Camera>>> {
     let frames = base_from_link.len();
-    let wrong =
-        |error: rogs_geometry::Error| StageError::bad_input(format!("camera `{}`: {}", camera.id, error.chain()));
+    let wrong = |error: &dyn std::error::Error| StageError::bad_input(format!("camera `{}`: {error}", camera.id));
+    let bad_pose = |error: rogs_geometry::Error| wrong(&error);
     match &camera.mount {
-        CameraMount::Fixed { base_from_camera } => Ok(vec![Pose::from_rigid(base_from_camera).map_err(wrong)?; frames]),
+        CameraMount::Fixed { base_from_camera } => {
+            Ok(vec![Pose::from_rigid(base_from_camera).map_err(bad_pose)?; frames])
+        }
         CameraMount::Trajectory { base_from_camera } => {
             if base_from_camera.len() != frames {
                 let count = base_from_camera.len();
@@ -166,12 +169,12 @@ fn camera_poses(
             }
             base_from_camera
                 .iter()
-                .map(|pose| Pose::from_rigid(pose).map_err(wrong))
+                .map(|pose| Pose::from_rigid(pose).map_err(bad_pose))
                 .collect()
         }
         CameraMount::HandEye { link, link_from_camera } => {
-            let link = model.link_id(link).map_err(wrong)?;
-            let link_from_camera: Pose<Link, Camera> = Pose::from_rigid(link_from_camera).map_err(wrong)?;
+            let link = model.link_id(link).map_err(|error| wrong(&error))?;
+            let link_from_camera: Pose<Link, Camera> = Pose::from_rigid(link_from_camera).map_err(bad_pose)?;
             Ok(base_from_link
                 .iter()
                 .map(|links| links[link] * link_from_camera)
@@ -194,12 +197,7 @@ fn draw(
         .flat_map(|&camera| (0..clip.frame_count()).map(move |frame| (camera, frame)))
         .collect();
     let draw_view = |renderer: &mut Renderer<'_>, &(camera, frame): &(u32, usize)| {
-        let intrinsics = clip.cameras[camera as usize].intrinsics;
-        let pinhole = Pinhole {
-            intrinsics,
-            width: clip.width,
-            height: clip.height,
-        };
+        let lens = Pinhole::of_clip(clip, &clip.cameras[camera as usize]);
         let camera_from_base = base_from_camera[camera as usize][frame].inverse();
         let camera_from_link: Vec<Pose<Camera, Link>> = base_from_link[frame]
             .iter()
@@ -207,7 +205,7 @@ fn draw(
             .collect();
         // Views are drawn in parallel, each with one thread.
         let image = renderer
-            .render(&pinhole, &camera_from_link, &RenderOptions::default(), 1)
+            .render(&lens, &camera_from_link, &RenderOptions::default(), 1)
             .map_err(bad_input)?;
         let support = valid_support(&image.depth_m, &image.link, clip.width, clip.height, &params.support);
         Ok(RobotMap {
@@ -224,6 +222,6 @@ fn draw(
         .collect()
 }
 
-fn bad_input(error: rogs_geometry::Error) -> StageError {
+fn bad_input(error: rogs_robot::Error) -> StageError {
     StageError::bad_input(error.chain())
 }

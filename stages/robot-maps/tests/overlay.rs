@@ -7,8 +7,8 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use rogs_geometry::outline::{EdgeOptions, image_edges, link_outlines, share_near_edges, silhouette};
 use rogs_geometry::{Base, Camera, Link, Pinhole, Pose};
+use rogs_robot::outline::{EdgeOptions, image_edges, link_outlines, share_near_edges, silhouette};
 use rogs_robot_maps::{Params, Robot, build};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
 use rogs_schemas::records::robot::{RobotMap, RobotMaps};

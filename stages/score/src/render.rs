@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 use rogs_field::TimedField;
-use rogs_geometry::{Base, Camera, Pose, Recon};
+use rogs_geometry::{Base, Pose, PosedCamera, Recon};
 use rogs_schemas::records::clip::{Clip, time_of_frame};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::{RenderedView, TrackScore};
-use rogs_schemas::units::iu_from_m;
-use rogs_splat::{Gaussians, RasterConfig, Render};
+use rogs_schemas::units::{LengthUnit, iu_from_m};
+use rogs_splat::{Gaussians, RasterCamera, RasterConfig, Render};
 use rogs_worker::{StageError, StageResult};
 
 use crate::measure::{MeasuredImage, measure_displacement, reference_depth, robot_tracks};
@@ -185,21 +185,14 @@ impl Scene<'_> {
     }
 
     /// The camera at a frame, in the frame and unit of the field's Gaussians.
-    fn camera(&self, source: &FieldSource<'_>, camera: usize, frame: u32) -> StageResult<rogs_splat::Camera> {
-        let pose = &self.robot.base_from_camera[camera * self.clip.frame_count() + frame as usize];
-        let view = &self.clip.cameras[camera];
-        let base_from_camera: Pose<Base, Camera> = Pose::from_rigid(pose)
-            .map_err(|error| StageError::bad_input(format!("camera `{}`, frame {frame}: {error}", view.id)))?;
-        let camera_from_world = match source {
-            FieldSource::Own { recon_from_base, .. } => (*recon_from_base * base_from_camera).inverse().to_rigid(),
-            FieldSource::Outside(_) => base_from_camera.inverse().to_rigid(),
-        };
-        Ok(rogs_splat::field_camera(
-            self.clip.width,
-            self.clip.height,
-            &view.intrinsics,
-            &camera_from_world,
-        ))
+    fn camera(&self, source: &FieldSource<'_>, camera: usize, frame: u32) -> StageResult<RasterCamera> {
+        let camera = posed(self.clip, self.robot, camera, frame)?;
+        Ok(match source {
+            FieldSource::Own { recon_from_base, .. } => {
+                RasterCamera::new(&camera.in_frame(recon_from_base), LengthUnit::Internal)
+            }
+            FieldSource::Outside(_) => RasterCamera::new(&camera, LengthUnit::Internal),
+        })
     }
 
     /// The Gaussians at a frame in internal units.
@@ -317,6 +310,11 @@ struct CameraDisplacements {
     weight: Vec<f32>,
 }
 
+/// A camera of the clip at a frame.
+pub(crate) fn posed(clip: &Clip, robot: &RobotMaps, camera: usize, frame: u32) -> StageResult<PosedCamera<Base>> {
+    PosedCamera::of_clip(clip, robot, camera, frame as usize).map_err(|error| StageError::bad_input(error.to_string()))
+}
+
 /// The rasteriser's thresholds are in internal units for every method.
 fn in_internal_units(mut gaussians: Gaussians) -> Gaussians {
     for value in gaussians.means.iter_mut().chain(&mut gaussians.scales) {
@@ -350,11 +348,8 @@ pub(crate) fn scale_to_source_depth(
                 Err(OutsideError::MissingFrame { .. } | OutsideError::NoFrame { .. }) => continue,
                 Err(error) => return Err(outside_error(error)),
             };
-            let pose = &robot.base_from_camera[camera as usize * clip.frame_count() + frame as usize];
-            let pose: Pose<Base, Camera> = Pose::from_rigid(pose)
-                .map_err(|error| StageError::bad_input(format!("camera `{}`: {error}", view.id)))?;
-            let pose = pose.inverse().to_rigid();
-            let camera = rogs_splat::field_camera(clip.width, clip.height, &view.intrinsics, &pose);
+            let camera = posed(clip, robot, camera as usize, frame)?;
+            let camera = RasterCamera::new(&camera, LengthUnit::Internal);
             let render = rogs_splat::render(&gaussians, &camera, &RasterConfig::default()).map_err(splat_error)?;
             let depth_m = ViewRender::new(&render).depth_m.unwrap_or_default();
             images.push((depth_m, reference, depth_support(reference, range_m)));

@@ -21,7 +21,9 @@ use crate::measure::{MeasuredImage, PredictedImage, RobotCore, measure_image, po
 use crate::metrics::{MetricError, SsimVariant};
 use crate::outside::{FieldFrame, ImagePredictions, OutsideField};
 use crate::perceptual::Perceptual;
-use crate::render::{FieldSource, Predictions, Scene, ViewRender, outside_error, scale_to_source_depth, splat_error};
+use crate::render::{
+    FieldSource, Predictions, Scene, ViewRender, outside_error, posed, scale_to_source_depth, splat_error,
+};
 use crate::summary::{OUTSIDE, OUTSIDE_SCALED};
 
 /// Which observations the field was made from.
@@ -200,11 +202,14 @@ impl Score {
         prediction: PredictionParams,
     ) -> StageResult<()> {
         let ids: Vec<&str> = clip.cameras.iter().map(|camera| camera.id.as_str()).collect();
-        let first = clip.source_frames.first().copied().unwrap_or(0) as usize;
-        let pose = |camera: u32| robot.base_from_camera[camera as usize * clip.frame_count() + first];
+        let first = clip.source_frames.first().copied().unwrap_or(0);
+        let source = |camera: u32| -> StageResult<_> {
+            let posed = posed(clip, robot, camera as usize, first)?;
+            Ok((camera, ids[camera as usize], posed.world_from_camera))
+        };
         let sources: Vec<_> = (clip.source_cameras().into_iter())
-            .map(|camera| (camera, ids[camera as usize], pose(camera)))
-            .collect();
+            .map(source)
+            .collect::<StageResult<_>>()?;
         let folder = context.optional_input("predictions").map(PathBuf::from);
         let mut info = WeightsInfo {
             trained: true,

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use rogs_geometry::{Base, Camera, Pose, Similarity};
 use rogs_schemas::RigidPose;
 use rogs_score::outside::{
     MotionBasisField, MotionBasisParts, OutsideError, PolynomialField, mean_frame, merge, stereo_scale, transformed,
@@ -191,7 +192,11 @@ fn fields_are_scaled_turned_and_joined() {
         rotation: [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0],
         translation: [10.0, 0.0, 0.0],
     };
-    let moved = transformed(&one, &turn, 2.0);
+    let base_from_camera: Similarity<Base, Camera> = Similarity {
+        rigid: Pose::from_rigid(&turn).unwrap(),
+        scale: 2.0,
+    };
+    let moved = transformed(&one, &base_from_camera);
     assert_eq!(moved.means, [6.0, 2.0, 6.0]);
     assert!(worst(&moved.scales, &[0.2, 0.4, 0.6]) < 1e-7);
     let half = std::f32::consts::FRAC_1_SQRT_2;

@@ -7,8 +7,11 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use rogs_field::TimedField;
+use rogs_geometry::{Pinhole, Pose, PosedCamera, Recon};
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
 use rogs_schemas::source::hash_source;
+use rogs_schemas::units::LengthUnit;
+use rogs_splat::RasterCamera;
 use serde_json::{Value, json};
 use support::{Bench, FRAMES, HEIGHT, LOOKING_ALONG_X, QUERIES, STEP_M, WIDTH, clip, field};
 
@@ -211,12 +214,13 @@ fn rendered_images_have_the_scores_of_the_renders() {
         QUERIES.iter().map(|&frame| frame as f32).collect::<Vec<_>>(),
     )];
     let timed = TimedField::new(&field).unwrap();
-    let camera = rogs_splat::field_camera(
-        WIDTH as u32,
-        HEIGHT as u32,
-        &support::intrinsics(),
-        &rogs_schemas::RigidPose::IDENTITY,
-    );
+    let lens = Pinhole {
+        intrinsics: support::intrinsics(),
+        width: WIDTH as u32,
+        height: HEIGHT as u32,
+    };
+    let camera: PosedCamera<Recon> = PosedCamera::new(lens, Pose::IDENTITY);
+    let camera = RasterCamera::new(&camera, LengthUnit::Internal);
     let (mut rgb, mut depth, mut displacement) = (Vec::new(), Vec::new(), Vec::new());
     for frame in QUERIES {
         let gaussians = timed.gaussians(f64::from(frame) / 16.0).unwrap();

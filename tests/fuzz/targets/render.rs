@@ -3,7 +3,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use rogs_splat::{
-    Camera, Colour, Eligible, Gaussians, Mode, RasterConfig, RenderGradient, SimdLevel, backward, render,
+    Colour, Eligible, Gaussians, Mode, RasterCamera, RasterConfig, RenderGradient, SimdLevel, backward, render,
     render_with_contributions, render_with_tape,
 };
 
@@ -66,7 +66,7 @@ fuzz_target!(|bytes: &[u8]| {
     let degree = usize::from(flags & 7).checked_sub(1).filter(|degree| *degree < 4);
     let extra_channels = [0, 1, 3, 6][usize::from(flags >> 3 & 3)];
     let colours = count * degree.map_or(3, |degree| 3 * (degree + 1) * (degree + 1));
-    let camera = Camera {
+    let camera = RasterCamera {
         width: u32::from(input.byte()) % SIDE,
         height: u32::from(input.byte()) % SIDE,
         fx: f64::from(input.number(30.0, 29.0)),

@@ -5,7 +5,7 @@
 mod place;
 
 use libfuzzer_sys::fuzz_target;
-use rogs_geometry::{MeshScene, RobotModel};
+use rogs_robot::{MeshScene, RobotModel};
 use rogs_schemas::records::robot::RobotSpec;
 
 fuzz_target!(|bytes: &[u8]| {

@@ -1,10 +1,12 @@
 //! Cameras with DROID's geometry: a ZED-Mini-like stereo pair on the flange and two ZED-2-like pairs beside the base
 //! (statistics: `docs/spec/data.md` section 0).
 
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DMat3, DVec3};
+use rogs_geometry::{Base, Camera, Pinhole, Pose};
 use rogs_schemas::Intrinsics;
 
-use crate::math::{Draw, rigid, rot_rpy, rot_y, rot_z};
+use crate::frame::BodyFrame;
+use crate::math::{Draw, rot_rpy, rot_y, rot_z};
 
 /// Number of cameras of an episode.
 pub const CAMERAS: usize = 6;
@@ -30,31 +32,27 @@ pub const ZED_MINI_BASELINE: [f64; 2] = [0.062_92, 0.000_13];
 /// How a camera is carried.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Mount {
-    /// Camera-to-base.
-    Fixed(DAffine3),
-    /// Camera-to-`panda_link8`.
-    Flange(DAffine3),
+    /// Camera-to-base, metres.
+    Fixed(Pose<Base, Camera>),
+    /// Camera-to-`panda_link8`, metres.
+    Flange(Pose<BodyFrame, Camera>),
 }
 
 /// One camera of an episode.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Camera {
-    /// Image width, pixels.
-    pub width: u32,
-    /// Image height, pixels.
-    pub height: u32,
-    /// Intrinsics; pixel centres at +0.5.
-    pub intrinsics: Intrinsics,
+pub struct EpisodeCamera {
+    /// Intrinsics and image size, pixels.
+    pub lens: Pinhole,
     /// The pose images are rendered with.
     pub mount: Mount,
     /// The pose that is written: the same, or with calibration noise.
     pub recorded_mount: Mount,
 }
 
-impl Camera {
+impl EpisodeCamera {
     /// Camera-to-base pose when the flange is at `base_from_flange`.
     #[must_use]
-    pub fn base_from_camera(&self, base_from_flange: &DAffine3) -> DAffine3 {
+    pub fn base_from_camera(&self, base_from_flange: &Pose<Base, BodyFrame>) -> Pose<Base, Camera> {
         match self.mount {
             Mount::Fixed(pose) => pose,
             Mount::Flange(pose) => *base_from_flange * pose,
@@ -86,7 +84,7 @@ impl Resolution {
 
 /// The hand-eye pose with the mean translation, the mean tilt, and yaw -90 degrees: image x is -y of the flange.
 #[must_use]
-pub fn nominal_hand_eye() -> DAffine3 {
+pub fn nominal_hand_eye() -> Pose<BodyFrame, Camera> {
     hand_eye(
         DVec3::from_array(HAND_EYE_MEAN),
         HAND_EYE_TILT_DEG[0].to_radians(),
@@ -94,8 +92,8 @@ pub fn nominal_hand_eye() -> DAffine3 {
     )
 }
 
-fn hand_eye(translation: DVec3, tilt: f64, extra: DMat3) -> DAffine3 {
-    rigid(rot_y(tilt) * rot_z(-std::f64::consts::FRAC_PI_2) * extra, translation)
+fn hand_eye(translation: DVec3, tilt: f64, extra: DMat3) -> Pose<BodyFrame, Camera> {
+    Pose::new(rot_y(tilt) * rot_z(-std::f64::consts::FRAC_PI_2) * extra, translation)
 }
 
 /// The six cameras of an episode.
@@ -104,7 +102,7 @@ pub(crate) fn draw_cameras(
     resolution: Resolution,
     noise: Option<[f64; 2]>,
     table_z: f64,
-) -> [Camera; CAMERAS] {
+) -> [EpisodeCamera; CAMERAS] {
     let std = HAND_EYE_STD.map(|s| s * draw.normal());
     let translation = DVec3::from_array(HAND_EYE_MEAN) + DVec3::from_array(std);
     let tilt = (HAND_EYE_TILT_DEG[0] + HAND_EYE_TILT_DEG[1] * draw.normal()).to_radians();
@@ -120,28 +118,30 @@ pub(crate) fn draw_cameras(
         left.push((Mount::Fixed(pose), intrinsics, resolution.external, baseline));
     }
     // One error per stereo pair: the eyes of a pair are rigid to each other.
-    let errors: Vec<DAffine3> = (0..3)
+    let errors: Vec<Pose<Camera, Camera>> = (0..3)
         .map(|_| {
             let (shift, turn) = (draw.normal3(1.0), draw.normal3(1.0));
             let [metres, radians] = noise.unwrap_or([0.0, 0.0]);
-            rigid(rot_rpy((turn * radians).to_array()), shift * metres)
+            Pose::new(rot_rpy((turn * radians).to_array()), shift * metres)
         })
         .collect();
     std::array::from_fn(|index| {
         let (mount, intrinsics, [height, width], baseline) = left[index % 3];
-        let eye = DAffine3::from_translation(DVec3::X * if index < 3 { 0.0 } else { baseline });
+        let eye = Pose::from_translation(DVec3::X * if index < 3 { 0.0 } else { baseline });
         let recorded = if noise.is_some() { errors[index % 3] * eye } else { eye };
-        Camera {
-            width,
-            height,
-            intrinsics,
+        EpisodeCamera {
+            lens: Pinhole {
+                intrinsics,
+                width,
+                height,
+            },
             mount: moved(mount, eye),
             recorded_mount: moved(mount, recorded),
         }
     })
 }
 
-fn moved(mount: Mount, by: DAffine3) -> Mount {
+fn moved(mount: Mount, by: Pose<Camera, Camera>) -> Mount {
     match mount {
         Mount::Fixed(pose) => Mount::Fixed(pose * by),
         Mount::Flange(pose) => Mount::Flange(pose * by),
@@ -161,7 +161,7 @@ fn intrinsics(draw: &mut Draw, [height, width]: [u32; 2], [fx, std]: [f64; 2]) -
 }
 
 /// A pose beside the base that looks at the workspace.
-fn external_pose(draw: &mut Draw, side: f64, table_z: f64) -> DAffine3 {
+fn external_pose(draw: &mut Draw, side: f64, table_z: f64) -> Pose<Base, Camera> {
     let eye = DVec3::new(
         draw.range(-0.05, 0.42),
         side * draw.range(0.42, 0.88),
@@ -175,7 +175,7 @@ fn external_pose(draw: &mut Draw, side: f64, table_z: f64) -> DAffine3 {
     let forward = (target - eye).normalize();
     let right = forward.cross(DVec3::Z).normalize();
     let look = DMat3::from_cols(right, forward.cross(right), forward);
-    rigid(look * rot_z(0.03 * draw.normal()), eye)
+    Pose::new(look * rot_z(0.03 * draw.normal()), eye)
 }
 
 #[cfg(test)]
@@ -185,9 +185,9 @@ mod tests {
     #[test]
     fn the_nominal_hand_eye_looks_as_the_rigs_do() {
         let pose = nominal_hand_eye();
-        let axis = pose.matrix3.z_axis;
+        let axis = pose.rotation.z_axis;
         assert!((axis - DVec3::new(0.330, 0.0, 0.944)).length() < 1e-3);
-        assert!((pose.matrix3.x_axis + DVec3::Y).length() < 1e-12);
+        assert!((pose.rotation.x_axis + DVec3::Y).length() < 1e-12);
         assert_eq!(pose.translation.to_array(), HAND_EYE_MEAN);
     }
 
@@ -200,13 +200,13 @@ mod tests {
             } else {
                 ZED2_BASELINE[0]
             };
-            let pose = DAffine3::from_translation(DVec3::new(0.3, 0.1, 0.4));
+            let pose = Pose::from_translation(DVec3::new(0.3, 0.1, 0.4));
             let left = cameras[index].base_from_camera(&pose);
             let right = cameras[index + 3].base_from_camera(&pose);
-            let offset = crate::math::rigid_inverse(&left) * right;
+            let offset = left.inverse() * right;
             assert!((offset.translation - DVec3::X * baseline).length() < 4e-4);
-            assert!((offset.matrix3.x_axis - DVec3::X).length() < 1e-12);
-            assert_eq!(cameras[index].intrinsics, cameras[index + 3].intrinsics);
+            assert!((offset.rotation.x_axis - DVec3::X).length() < 1e-12);
+            assert_eq!(cameras[index].lens, cameras[index + 3].lens);
             assert_ne!(cameras[index].mount, cameras[index].recorded_mount);
         }
     }
@@ -220,8 +220,8 @@ mod tests {
                     panic!("a fixed camera")
                 };
                 assert!(pose.translation.y * side > 0.4);
-                assert!(pose.matrix3.z_axis.z < 0.0 && pose.matrix3.y_axis.z < -0.5);
-                assert!((pose.matrix3.determinant() - 1.0).abs() < 1e-9);
+                assert!(pose.rotation.z_axis.z < 0.0 && pose.rotation.y_axis.z < -0.5);
+                assert!((pose.rotation.determinant() - 1.0).abs() < 1e-9);
                 assert_eq!(cameras[index].mount, cameras[index].recorded_mount);
             }
         }

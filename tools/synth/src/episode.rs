@@ -2,13 +2,15 @@
 
 use std::sync::Arc;
 
-use glam::{DAffine3, DVec3};
+use glam::DVec3;
 use rayon::prelude::*;
+use rogs_geometry::{Base, Camera, Pose};
 
-use crate::cameras::{CAMERAS, Camera, draw_cameras};
+use crate::cameras::{CAMERAS, EpisodeCamera, draw_cameras};
 use crate::config::SynthConfig;
 use crate::error::{Error, Result};
-use crate::math::{Draw, rigid_inverse};
+use crate::frame::BodyFrame;
+use crate::math::Draw;
 use crate::motion::{Action, draw_motion};
 use crate::render::{LitScene, PreparedMesh, Sensor, View, render_view};
 use crate::robot::{FLANGE_LINK, GRIPPER_LINK, Robot, RobotState, TOOL_Z};
@@ -41,12 +43,12 @@ pub struct Episode {
     /// Joint and gripper states. `[F]`
     pub states: Vec<RobotState>,
     /// The cameras in the order of [`crate::CAMERA_NAMES`].
-    pub cameras: [Camera; CAMERAS],
+    pub cameras: [EpisodeCamera; CAMERAS],
     /// Frames `[from, to)` in which the first object is rigid to the flange.
     pub held: Option<[usize; 2]>,
     pub(crate) bodies: Vec<Body>,
     /// Body-to-base. `[F][body]`
-    pub(crate) poses: Vec<Vec<DAffine3>>,
+    pub(crate) poses: Vec<Vec<Pose<Base, BodyFrame>>>,
     object_names: Vec<&'static str>,
     lights: Lights,
     sensors: [Sensor; CAMERAS],
@@ -134,13 +136,13 @@ fn body_poses(
     robot: &Robot,
     state: &RobotState,
     objects: &[Object],
-    target: DAffine3,
+    target: Pose<Base, BodyFrame>,
     scenery: &[Body],
-) -> Vec<DAffine3> {
+) -> Vec<Pose<Base, BodyFrame>> {
     let mut poses = robot.fk(state);
     let object = |(index, object): (usize, &Object)| if index == 0 { target } else { object.start };
     poses.extend(objects.iter().enumerate().map(object));
-    poses.extend(scenery.iter().map(|body| body.fixed.unwrap_or(DAffine3::IDENTITY)));
+    poses.extend(scenery.iter().map(|body| body.fixed.unwrap_or(Pose::IDENTITY)));
     poses
 }
 
@@ -184,25 +186,25 @@ impl Episode {
 
     /// Flange-to-base pose at a frame.
     #[must_use]
-    pub fn base_from_flange(&self, frame: usize) -> DAffine3 {
+    pub fn base_from_flange(&self, frame: usize) -> Pose<Base, BodyFrame> {
         self.poses[frame][FLANGE_LINK]
     }
 
     /// The tool centre in the base frame at a frame, metres.
     #[must_use]
     pub fn tool(&self, frame: usize) -> DVec3 {
-        self.poses[frame][GRIPPER_LINK].transform_point3(DVec3::Z * TOOL_Z)
+        self.poses[frame][GRIPPER_LINK].point(DVec3::Z * TOOL_Z)
     }
 
     /// Camera-to-base pose at a frame, as rendered.
     #[must_use]
-    pub fn base_from_camera(&self, camera: usize, frame: usize) -> DAffine3 {
+    pub fn base_from_camera(&self, camera: usize, frame: usize) -> Pose<Base, Camera> {
         self.cameras[camera].base_from_camera(&self.base_from_flange(frame))
     }
 
     /// Pose of the link, object or piece of scenery of this id at a frame, body-to-base; `None` where no body has the id.
     #[must_use]
-    pub fn body_pose(&self, id: u8, frame: usize) -> Option<DAffine3> {
+    pub fn body_pose(&self, id: u8, frame: usize) -> Option<Pose<Base, BodyFrame>> {
         let index = self.bodies.iter().position(|body| body.id == id)?;
         Some(self.poses[frame][index])
     }
@@ -211,7 +213,7 @@ impl Episode {
     #[must_use]
     pub fn displacement(&self, id: u8, point_in_base: DVec3, from: usize, to: usize) -> Option<DVec3> {
         let (a, b) = (self.body_pose(id, from)?, self.body_pose(id, to)?);
-        Some(b.transform_point3(rigid_inverse(&a).transform_point3(point_in_base)) - point_in_base)
+        Some(b.point(a.inverse().point(point_in_base)) - point_in_base)
     }
 
     /// Draws the cameras of these numbers at one frame; cameras are drawn in parallel, the result is the same for any
@@ -221,7 +223,7 @@ impl Episode {
         let scene = LitScene::new(&self.bodies, &self.poses[frame], &self.lights);
         let view = |&camera: &usize| {
             let pose = self.base_from_camera(camera, frame);
-            let lens = &self.cameras[camera];
+            let lens = &self.cameras[camera].lens;
             let key = (self.seed as u32).wrapping_mul(0x9e37_79b9) ^ ((frame as u32) << 4) ^ camera as u32;
             let size = [lens.height as usize, lens.width as usize];
             render_view(&scene, &pose, &lens.intrinsics, size, &self.sensors[camera], key)

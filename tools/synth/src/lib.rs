@@ -25,6 +25,7 @@ mod cameras;
 mod config;
 mod episode;
 mod error;
+mod frame;
 mod math;
 mod mesh;
 mod motion;
@@ -37,13 +38,13 @@ mod tracks;
 mod write;
 
 pub use cameras::{
-    CAMERA_NAMES, CAMERAS, Camera, HAND_EYE_MEAN, HAND_EYE_STD, HAND_EYE_TILT_DEG, Mount, Resolution,
+    CAMERA_NAMES, CAMERAS, EpisodeCamera, HAND_EYE_MEAN, HAND_EYE_STD, HAND_EYE_TILT_DEG, Mount, Resolution,
     ZED_MINI_BASELINE, ZED2_BASELINE, nominal_hand_eye,
 };
 pub use config::SynthConfig;
 pub use episode::{Episode, Frame, generate_episode};
 pub use error::{Error, Result};
-pub use math::{rigid_inverse, rigid_pose};
+pub use frame::BodyFrame;
 pub use mesh::TriMesh;
 pub use motion::Action;
 pub use render::View;

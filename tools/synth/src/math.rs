@@ -1,9 +1,9 @@
-//! Rotations, rigid transforms and seeded numbers. Trigonometry goes through `libm`, so that files do not depend on the
+//! Rotations and seeded numbers. Trigonometry goes through `libm`, so that files do not depend on the
 //! platform's.
 
-use glam::{DAffine3, DMat3, DVec3, Vec3};
+use glam::{Affine3A, DAffine3, DMat3, DVec3, Vec3};
+use rogs_geometry::Pose;
 use rogs_random::Pcg64;
-use rogs_schemas::RigidPose;
 
 /// Rotation about x, radians.
 pub(crate) fn rot_x(angle: f64) -> DMat3 {
@@ -54,9 +54,9 @@ pub(crate) fn rotation_vector(r: &DMat3) -> DVec3 {
     twice_sin * (libm::atan2(sine, cosine) / (2.0 * sine))
 }
 
-/// A rigid transform of a rotation and a translation.
-pub(crate) fn rigid(rotation: DMat3, translation: DVec3) -> DAffine3 {
-    DAffine3::from_mat3_translation(rotation, translation)
+/// A transform in single precision, for drawing.
+pub(crate) fn single<A, B>(pose: &Pose<A, B>) -> Affine3A {
+    DAffine3::from_mat3_translation(pose.rotation, pose.translation).as_affine3a()
 }
 
 /// Rounds towards negative infinity. For numbers that fit into an `i32`; without SSE4.1 the library's is a call.
@@ -68,28 +68,6 @@ pub(crate) fn floor(x: f32) -> f32 {
 /// [`floor`] of each coordinate.
 pub(crate) fn floor3(v: Vec3) -> Vec3 {
     Vec3::new(floor(v.x), floor(v.y), floor(v.z))
-}
-
-/// The inverse of a rigid transform.
-#[must_use]
-pub fn rigid_inverse(pose: &DAffine3) -> DAffine3 {
-    let rotation = pose.matrix3.transpose();
-    rigid(rotation, -(rotation * pose.translation))
-}
-
-/// As it lies on disk.
-#[must_use]
-pub fn rigid_pose(pose: &DAffine3) -> RigidPose {
-    let m = pose.matrix3.transpose();
-    let t = pose.translation;
-    let mut rotation = [0.0; 9];
-    for (row, axis) in [m.x_axis, m.y_axis, m.z_axis].into_iter().enumerate() {
-        rotation[3 * row..3 * row + 3].copy_from_slice(&axis.to_array());
-    }
-    RigidPose {
-        rotation,
-        translation: t.to_array(),
-    }
 }
 
 /// Minimum-jerk blend from 0 to 1.

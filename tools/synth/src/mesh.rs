@@ -1,6 +1,9 @@
 //! Closed triangle meshes of simple solids: the only shapes that are rendered, written and ray-cast.
 
-use glam::{DAffine3, DVec3, Vec3};
+use glam::{DVec3, Vec3};
+use rogs_geometry::Pose;
+
+use crate::frame::BodyFrame;
 
 /// A set of closed solids as triangles, counter-clockwise seen from outside.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -244,10 +247,10 @@ impl TriMesh {
     }
 
     /// The same mesh moved rigidly.
-    pub(crate) fn placed(mut self, pose: DAffine3) -> Self {
-        let rotation = pose.matrix3;
+    pub(crate) fn placed(mut self, pose: Pose<BodyFrame, BodyFrame>) -> Self {
+        let rotation = pose.rotation;
         for position in &mut self.positions {
-            *position = pose.transform_point3(position.as_dvec3()).as_vec3();
+            *position = pose.point(position.as_dvec3()).as_vec3();
         }
         for normal in &mut self.normals {
             *normal = (rotation * normal.as_dvec3()).as_vec3().normalize();
@@ -257,7 +260,7 @@ impl TriMesh {
 
     /// The same mesh shifted.
     pub(crate) fn at(self, x: f64, y: f64, z: f64) -> Self {
-        self.placed(DAffine3::from_translation(DVec3::new(x, y, z)))
+        self.placed(Pose::from_translation(DVec3::new(x, y, z)))
     }
 
     /// The same mesh, all of one material.

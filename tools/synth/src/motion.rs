@@ -1,8 +1,10 @@
 //! What happens in an episode: reaching, grasping, carrying, pushing, as tool paths that the arm can follow.
 
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DMat3, DVec3};
+use rogs_geometry::{Base, Pose};
 
-use crate::math::{Draw, minimum_jerk, rigid, rigid_inverse, rot_x, rot_y, rot_z};
+use crate::frame::BodyFrame;
+use crate::math::{Draw, minimum_jerk, rot_x, rot_y, rot_z};
 use crate::robot::{ARM_JOINTS, HOME, Robot, RobotState, TOOL_Z, gripper_for_gap, solve_tool};
 use crate::scene::Object;
 
@@ -39,7 +41,7 @@ pub(crate) struct Motion {
     /// One a frame.
     pub states: Vec<RobotState>,
     /// Object-to-base of the first object, one a frame. The others stay where they are.
-    pub target: Vec<DAffine3>,
+    pub target: Vec<Pose<Base, BodyFrame>>,
     /// Frames `[from, to)` in which the first object is rigid to the flange.
     pub held: Option<[usize; 2]>,
 }
@@ -67,7 +69,7 @@ struct Plan {
     /// Times between which the object is held.
     held: Option<[f64; 2]>,
     /// Object-to-flange while held.
-    flange_from_object: DAffine3,
+    flange_from_object: Pose<BodyFrame, BodyFrame>,
     /// Direction of a push, and how far the object may be taken.
     push: Option<DVec3>,
     /// Amplitude of the sway of the hand between waypoints.
@@ -107,7 +109,7 @@ fn draw_plan(draw: &mut Draw, action: Action, objects: &[Object], table_z: f64) 
     let no_tilt = [0.0; 2];
     let sway = [draw.normal3(0.006), draw.normal3(0.003)];
     // The object as the gripper holds it: its x axis across the pads, at the height of the grip.
-    let held_object = rigid(
+    let held_object = Pose::new(
         rot_z(yaw + std::f64::consts::FRAC_PI_2),
         DVec3::new(place.x, place.y, table_z + object.half.z),
     );
@@ -117,7 +119,7 @@ fn draw_plan(draw: &mut Draw, action: Action, objects: &[Object], table_z: f64) 
         path: Vec::new(),
         gripper: vec![(0.0, 0.0)],
         held: None,
-        flange_from_object: rigid_inverse(&flange_at_grip) * held_object,
+        flange_from_object: flange_at_grip.inverse() * held_object,
         push: None,
         sway,
     };
@@ -190,13 +192,13 @@ fn draw_plan(draw: &mut Draw, action: Action, objects: &[Object], table_z: f64) 
 }
 
 /// Flange pose that brings the tool centre to a point: pointing down, turned by yaw, then tilted.
-fn flange_target(tool: DVec3, yaw: f64, tilt: [f64; 2]) -> DAffine3 {
+fn flange_target(tool: DVec3, yaw: f64, tilt: [f64; 2]) -> Pose<Base, BodyFrame> {
     let rotation: DMat3 = rot_z(yaw) * rot_x(std::f64::consts::PI + tilt[0]) * rot_y(tilt[1]);
-    rigid(rotation, tool - rotation * DVec3::Z * TOOL_Z)
+    Pose::new(rotation, tool - rotation * DVec3::Z * TOOL_Z)
 }
 
 impl Plan {
-    fn target(&self, time: f64) -> DAffine3 {
+    fn target(&self, time: f64) -> Pose<Base, BodyFrame> {
         let (first, last) = (self.path[0], self.path[self.path.len() - 1]);
         if time <= first.time {
             return flange_target(first.tool, first.yaw, first.tilt);
@@ -278,20 +280,25 @@ fn follow(robot: &Robot, plan: &Plan, objects: &[Object], table_z: f64, frames: 
 }
 
 /// Poses of the first object.
-fn target_path(plan: &Plan, objects: &[Object], flanges: &[DAffine3], held: Option<[usize; 2]>) -> Vec<DAffine3> {
+fn target_path(
+    plan: &Plan,
+    objects: &[Object],
+    flanges: &[Pose<Base, BodyFrame>],
+    held: Option<[usize; 2]>,
+) -> Vec<Pose<Base, BodyFrame>> {
     let object = &objects[0];
     if let Some(along) = plan.push {
         let mut shift: f64 = 0.0;
-        let advance = |flange: &DAffine3| {
-            let tool = flange.transform_point3(DVec3::Z * TOOL_Z);
+        let advance = |flange: &Pose<Base, BodyFrame>| {
+            let tool = flange.point(DVec3::Z * TOOL_Z);
             let reach =
-                FIST[0] * along.dot(flange.matrix3.x_axis).abs() + FIST[1] * along.dot(flange.matrix3.y_axis).abs();
+                FIST[0] * along.dot(flange.rotation.x_axis).abs() + FIST[1] * along.dot(flange.rotation.y_axis).abs();
             let near = object.start.translation.dot(along) - extent(object, along);
             tool.dot(along) + reach - near
         };
         let pose = |flange| {
             shift = shift.max(advance(flange));
-            rigid(object.start.matrix3, object.start.translation + along * shift)
+            Pose::new(object.start.rotation, object.start.translation + along * shift)
         };
         return flanges.iter().map(pose).collect();
     }
@@ -307,7 +314,7 @@ fn target_path(plan: &Plan, objects: &[Object], flanges: &[DAffine3], held: Opti
 
 /// Largest extent of the object's outline along a direction.
 fn extent(object: &Object, along: DVec3) -> f64 {
-    let local = object.start.matrix3.transpose() * along;
+    let local = object.start.rotation.transpose() * along;
     let reach = |p: &glam::Vec3| p.as_dvec3().dot(-local);
     object.body.mesh.mesh().positions.iter().map(reach).fold(0.0, f64::max)
 }
@@ -315,14 +322,14 @@ fn extent(object: &Object, along: DVec3) -> f64 {
 /// Whether fingers and held object keep clear of the table and the other objects.
 fn is_free(
     objects: &[Object],
-    flanges: &[DAffine3],
-    target: &[DAffine3],
+    flanges: &[Pose<Base, BodyFrame>],
+    target: &[Pose<Base, BodyFrame>],
     held: Option<[usize; 2]>,
     table_z: f64,
 ) -> bool {
     let first = &objects[0];
     flanges.iter().enumerate().all(|(frame, flange)| {
-        let tool = flange.transform_point3(DVec3::Z * TOOL_Z);
+        let tool = flange.point(DVec3::Z * TOOL_Z);
         let tip = tool.z - 0.020;
         let carried = held.is_some_and(|[from, to]| (from..to).contains(&frame));
         let bottom = if carried {

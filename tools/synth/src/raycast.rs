@@ -1,24 +1,25 @@
 //! Exact rays against the triangles of a scene: which points of a track a camera sees.
 
-use glam::{DAffine3, DVec3};
+use glam::DVec3;
+use rogs_geometry::{Base, Pose};
 
-use crate::math::rigid_inverse;
+use crate::frame::BodyFrame;
 use crate::scene::Body;
 
 /// Distance along `direction` (in its own lengths) to the nearest front face, and the index of the body; nothing nearer than
 /// `from` counts.
 pub(crate) fn first_hit(
     bodies: &[Body],
-    poses: &[DAffine3],
+    poses: &[Pose<Base, BodyFrame>],
     origin: DVec3,
     direction: DVec3,
     from: f64,
 ) -> Option<(f64, usize)> {
     let mut best: Option<(f64, usize)> = None;
     for (index, (body, pose)) in bodies.iter().zip(poses).enumerate() {
-        let body_from_base = rigid_inverse(pose);
-        let o = body_from_base.transform_point3(origin);
-        let d = body_from_base.matrix3 * direction;
+        let body_from_base = pose.inverse();
+        let o = body_from_base.point(origin);
+        let d = body_from_base.direction(direction);
         let (centre, radius) = body.mesh.sphere;
         let to_centre = centre.as_dvec3() - o;
         let along = to_centre.dot(d) / d.length_squared();

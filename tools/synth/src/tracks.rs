@@ -4,7 +4,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::episode::Episode;
-use crate::math::{Draw, rigid_inverse};
+use crate::math::Draw;
 use crate::raycast::first_hit;
 use crate::render::View;
 use crate::scene::{FIRST_OBJECT_ID, FIRST_SCENERY_ID};
@@ -45,7 +45,7 @@ impl Episode {
             let [most_links, most_objects] = self.config.tracks_per_camera;
             let mut pixels = choose(&mut draw, &view.id, links, most_links);
             pixels.extend(choose(&mut draw, &view.id, objects, most_objects));
-            let width = self.cameras[camera].width as usize;
+            let width = self.cameras[camera].lens.width as usize;
             for pixel in pixels {
                 tracks.camera.push(camera as u32);
                 tracks.pixel.push([(pixel % width) as u32, (pixel / width) as u32]);
@@ -63,7 +63,7 @@ impl Episode {
 
     fn follow(&self, tracks: &EpisodeTracks, track: usize, view: &View) -> (Vec<f32>, Vec<u8>) {
         let camera = tracks.camera[track] as usize;
-        let lens = &self.cameras[camera];
+        let lens = &self.cameras[camera].lens;
         let k = &lens.intrinsics;
         let [column, row] = tracks.pixel[track];
         let depth = f64::from(view.depth_m[(row * lens.width + column) as usize]);
@@ -73,15 +73,15 @@ impl Episode {
             1.0,
         );
         let anchor = tracks.anchor_frame;
-        let point = self.base_from_camera(camera, anchor).transform_point3(ray * depth);
+        let point = self.base_from_camera(camera, anchor).point(ray * depth);
         let Some(body) = self.bodies.iter().position(|body| body.id == tracks.id[track]) else {
             return (Vec::new(), Vec::new());
         };
-        let in_body = rigid_inverse(&self.poses[anchor][body]).transform_point3(point);
+        let in_body = self.poses[anchor][body].inverse().point(point);
         let mut positions = Vec::with_capacity(3 * self.frame_count());
         let mut visible = Vec::with_capacity(self.frame_count());
         for frame in 0..self.frame_count() {
-            let position = self.poses[frame][body].transform_point3(in_body);
+            let position = self.poses[frame][body].point(in_body);
             positions.extend(position.as_vec3().to_array());
             visible.push(u8::from(frame == anchor || self.sees(camera, frame, position)));
         }
@@ -91,8 +91,8 @@ impl Episode {
     /// Whether a point of a surface is in the picture of a camera and nothing is in front of it.
     fn sees(&self, camera: usize, frame: usize, point: DVec3) -> bool {
         let pose = self.base_from_camera(camera, frame);
-        let p = rigid_inverse(&pose).transform_point3(point);
-        let lens = &self.cameras[camera];
+        let p = pose.inverse().point(point);
+        let lens = &self.cameras[camera].lens;
         let k = &lens.intrinsics;
         if p.z < crate::render::NEAR {
             return false;

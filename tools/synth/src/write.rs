@@ -12,11 +12,10 @@ use rogs_schemas::episode as layout;
 use rogs_schemas::records::clip::PROCEDURAL_NOTE;
 use serde::Serialize;
 
-use crate::cameras::{CAMERA_NAMES, CAMERAS, Mount};
+use crate::cameras::{CAMERA_NAMES, CAMERAS, EpisodeCamera, Mount};
 use crate::config::SynthConfig;
 use crate::episode::{Episode, generate_episode};
 use crate::error::{Error, Result};
-use crate::math::rigid_pose;
 use crate::npy;
 use crate::render::View;
 use crate::robot::{ARM_JOINT_NAMES, FLANGE_LINK, ROBOT_URDF_FILE, Robot, write_robot};
@@ -202,7 +201,7 @@ fn write_pictures(draft: &Path, episode: &Episode) -> Result<()> {
     let frames = episode.frame_count();
     let open = |folder: &str, kind: &str, camera: usize| -> Result<BufWriter<File>> {
         let path = draft.join(folder).join(format!("{}.npy", CAMERA_NAMES[camera]));
-        let lens = &episode.cameras[camera];
+        let lens = &episode.cameras[camera].lens;
         let shape = [frames, lens.height as usize, lens.width as usize];
         let create = || {
             let mut out = BufWriter::new(File::create(&path)?);
@@ -224,7 +223,7 @@ fn write_pictures(draft: &Path, episode: &Episode) -> Result<()> {
             .map(|frame| {
                 let views = episode.render_frame(frame).views;
                 for (camera, view) in views.iter().enumerate() {
-                    let lens = &episode.cameras[camera];
+                    let lens = &episode.cameras[camera].lens;
                     let path = draft.join(CAMERA_NAMES[camera]).join(format!("{frame:06}.png"));
                     write_file(&path, &png(&view.rgb, lens.width, lens.height)?)?;
                 }
@@ -298,7 +297,9 @@ fn states_csv(episode: &Episode) -> String {
 /// `episode.json`.
 fn description(episode: &Episode, model: &str) -> layout::Episode {
     let camera = |index: usize| {
-        let lens = &episode.cameras[index];
+        let EpisodeCamera {
+            lens, recorded_mount, ..
+        } = &episode.cameras[index];
         let name = CAMERA_NAMES[index].to_owned();
         layout::EpisodeCamera {
             id: name.clone(),
@@ -313,13 +314,13 @@ fn description(episode: &Episode, model: &str) -> layout::Episode {
             height: lens.height,
             intrinsics: lens.intrinsics,
             pixel_centres: layout::PixelCentres::Half,
-            mount: match lens.recorded_mount {
+            mount: match recorded_mount {
                 Mount::Fixed(pose) => layout::EpisodeMount::Fixed {
-                    base_from_camera: rigid_pose(&pose).into(),
+                    base_from_camera: pose.to_rigid().into(),
                 },
                 Mount::Flange(pose) => layout::EpisodeMount::HandEye {
                     link: format!("panda_link{FLANGE_LINK}"),
-                    link_from_camera: rigid_pose(&pose).into(),
+                    link_from_camera: pose.to_rigid().into(),
                 },
             },
             depth: Some(layout::EpisodeDepth {

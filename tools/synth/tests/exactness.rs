@@ -1,6 +1,7 @@
 //! Depth, ids, tracks, cameras and motion of an episode agree with each other and with independent computations.
 
-use glam::{DAffine3, DVec3};
+use glam::DVec3;
+use rogs_geometry::Pose;
 use rogs_synth::{
     Action, CAMERAS, Episode, FIRST_OBJECT_ID, FIRST_SCENERY_ID, FLANGE_LINK, Mount, Resolution, SynthConfig,
     generate_episode,
@@ -22,21 +23,19 @@ fn episode(action: Action, seed: u64) -> Episode {
     generate_episode(&small(action), seed).unwrap()
 }
 
-fn inverse(pose: DAffine3) -> DAffine3 {
-    pose.inverse()
+fn close<A, B>(a: &Pose<A, B>, b: &Pose<A, B>, tolerance: f64) -> bool {
+    a.rotation.abs_diff_eq(b.rotation, tolerance) && a.translation.abs_diff_eq(b.translation, tolerance)
 }
 
 /// The point of the base frame behind the centre of a pixel.
 fn unproject(episode: &Episode, camera: usize, frame: usize, column: usize, row: usize, depth: f32) -> DVec3 {
-    let k = episode.cameras[camera].intrinsics;
+    let k = episode.cameras[camera].lens.intrinsics;
     let ray = DVec3::new(
         (column as f64 + 0.5 - k.cx) / k.fx,
         (row as f64 + 0.5 - k.cy) / k.fy,
         1.0,
     );
-    episode
-        .base_from_camera(camera, frame)
-        .transform_point3(ray * f64::from(depth))
+    episode.base_from_camera(camera, frame).point(ray * f64::from(depth))
 }
 
 #[test]
@@ -76,8 +75,8 @@ fn a_visible_track_lands_on_its_pixel_at_the_depth_of_the_map() {
         let camera = tracks.camera[track] as usize;
         let at = 3 * (track * frames + anchor);
         let point = DVec3::from_array(std::array::from_fn(|k| f64::from(tracks.position_m[at + k])));
-        let p = inverse(episode.base_from_camera(camera, anchor)).transform_point3(point);
-        let k = episode.cameras[camera].intrinsics;
+        let p = episode.base_from_camera(camera, anchor).inverse().point(point);
+        let k = episode.cameras[camera].lens.intrinsics;
         let [column, row] = tracks.pixel[track];
         assert!((p.x / p.z * k.fx + k.cx - f64::from(column) - 0.5).abs() < 0.01);
         assert!((p.y / p.z * k.fy + k.cy - f64::from(row) - 0.5).abs() < 0.01);
@@ -100,8 +99,8 @@ fn a_track_counts_as_visible_where_the_picture_shows_its_body_at_its_depth() {
             let camera = tracks.camera[track] as usize;
             let at = 3 * (track * frames + frame);
             let point = DVec3::from_array(std::array::from_fn(|k| f64::from(tracks.position_m[at + k])));
-            let p = inverse(episode.base_from_camera(camera, frame)).transform_point3(point);
-            let k = episode.cameras[camera].intrinsics;
+            let p = episode.base_from_camera(camera, frame).inverse().point(point);
+            let k = episode.cameras[camera].lens.intrinsics;
             let (u, v) = ((p.x / p.z * k.fx + k.cx).floor(), (p.y / p.z * k.fy + k.cy).floor());
             let visible = tracks.visible[track * frames + frame] == 1;
             let inside = (0.0..140.0).contains(&u) && (0.0..77.0).contains(&v);
@@ -128,10 +127,10 @@ fn what_is_grasped_is_rigid_to_the_flange_and_the_rest_stands_still() {
         let [from, to] = episode.held.unwrap();
         assert!(to > from + 5);
         let in_hand =
-            |frame| inverse(episode.base_from_flange(frame)) * episode.body_pose(FIRST_OBJECT_ID, frame).unwrap();
+            |frame| episode.base_from_flange(frame).inverse() * episode.body_pose(FIRST_OBJECT_ID, frame).unwrap();
         let first = in_hand(from);
         for frame in from..to {
-            assert!(in_hand(frame).abs_diff_eq(first, 1e-9), "{action:?} frame {frame}");
+            assert!(close(&in_hand(frame), &first, 1e-9), "{action:?} frame {frame}");
         }
         let moved = |id: u8| {
             let (a, b) = (episode.body_pose(id, 0).unwrap(), episode.body_pose(id, 32).unwrap());
@@ -163,16 +162,17 @@ fn cameras_move_with_the_flange_or_not_at_all_and_right_eyes_stand_to_the_right(
         match episode.cameras[camera].mount {
             Mount::Fixed(pose) => assert!(a == pose && b == pose),
             Mount::Flange(hand_eye) => {
-                assert!(b.abs_diff_eq(episode.body_pose(FLANGE_LINK as u8, 20).unwrap() * hand_eye, 1e-12));
+                let expected = episode.body_pose(FLANGE_LINK as u8, 20).unwrap() * hand_eye;
+                assert!(close(&b, &expected, 1e-12));
                 assert!((a.translation - b.translation).length() > 0.02);
             }
         }
     }
     for left in 0..3 {
-        let offset = inverse(episode.base_from_camera(left, 9)) * episode.base_from_camera(left + 3, 9);
+        let offset = episode.base_from_camera(left, 9).inverse() * episode.base_from_camera(left + 3, 9);
         let baseline = if left == 0 { 0.0629 } else { 0.12 };
         assert!((offset.translation - DVec3::X * baseline).length() < 5e-4);
-        assert!(offset.matrix3.abs_diff_eq(glam::DMat3::IDENTITY, 1e-12));
+        assert!(offset.rotation.abs_diff_eq(glam::DMat3::IDENTITY, 1e-12));
     }
 }
 
@@ -182,11 +182,11 @@ fn left_and_right_eyes_see_the_same_points() {
     let views = episode.render_frame(10).views;
     let (mut same, mut all) = (0, 0);
     for left in 0..3 {
-        let k = episode.cameras[left].intrinsics;
-        let right_from_base = inverse(episode.base_from_camera(left + 3, 10));
+        let k = episode.cameras[left].lens.intrinsics;
+        let right_from_base = episode.base_from_camera(left + 3, 10).inverse();
         for pixel in (0..140 * 77).step_by(7) {
             let point = unproject(&episode, left, 10, pixel % 140, pixel / 140, views[left].depth_m[pixel]);
-            let p = right_from_base.transform_point3(point);
+            let p = right_from_base.point(point);
             let (u, v) = ((p.x / p.z * k.fx + k.cx).floor(), (p.y / p.z * k.fy + k.cy).floor());
             if p.z > 0.0 && (0.0..140.0).contains(&u) && (0.0..77.0).contains(&v) {
                 // The row is the same up to rounding: the pair is rectified.

@@ -1,7 +1,7 @@
-//! The written robot model, read by the kinematics and the mesh rasteriser of the geometry crate, is the rendered robot.
+//! The written robot model, read by the kinematics and the mesh rasteriser of the product, is the rendered robot.
 
-use glam::DVec3;
-use rogs_geometry::{Camera, Link, MeshScene, Pinhole, Pose, RenderOptions, RobotModel};
+use rogs_geometry::{Camera, Link, Pose};
+use rogs_robot::{MeshScene, RenderOptions, RobotModel};
 use rogs_schemas::records::robot::{NO_LINK, RobotSpec};
 use rogs_synth::{
     ARM_JOINT_NAMES, Action, FIRST_OBJECT_ID, ROBOT_SPEC_FILE, ROBOT_URDF_FILE, Robot, SynthConfig, generate_episode,
@@ -45,7 +45,7 @@ fn forward_kinematics_of_the_urdf_is_that_of_the_generator() {
         for (link, own) in robot.link_names().iter().zip(robot.fk(state)) {
             let pose = &poses[model.link_id(link).unwrap()];
             assert!((pose.translation - own.translation).length() < 1e-9, "{link}");
-            assert!(pose.rotation.abs_diff_eq(own.matrix3, 1e-9), "{link}");
+            assert!(pose.rotation.abs_diff_eq(own.rotation, 1e-9), "{link}");
         }
     }
 }
@@ -67,25 +67,11 @@ fn mesh_depth_of_the_written_robot_is_the_depth_of_the_picture() {
         let poses = model.fk(&model.robot_state(&spec, &names, &state.joints, state.gripper).unwrap());
         let views = episode.render_frame(frame).views;
         for (camera, view) in views.iter().enumerate() {
-            let lens = &episode.cameras[camera];
-            let base_from_camera = episode.base_from_camera(camera, frame);
-            let camera_from_base = base_from_camera.inverse();
-            let camera_from_link: Vec<Pose<Camera, Link>> = poses
-                .iter()
-                .map(|pose| {
-                    Pose::new(
-                        camera_from_base.matrix3 * pose.rotation,
-                        camera_from_base.transform_point3(DVec3::from_array(pose.translation.to_array())),
-                    )
-                })
-                .collect();
-            let pinhole = Pinhole {
-                intrinsics: lens.intrinsics,
-                width: lens.width,
-                height: lens.height,
-            };
+            let lens = &episode.cameras[camera].lens;
+            let camera_from_base = episode.base_from_camera(camera, frame).inverse();
+            let camera_from_link: Vec<Pose<Camera, Link>> = poses.iter().map(|&pose| camera_from_base * pose).collect();
             let mesh = scene
-                .render(&pinhole, &camera_from_link, &RenderOptions::default())
+                .render(lens, &camera_from_link, &RenderOptions::default())
                 .unwrap();
             let (mut robot, mut off, mut missed) = (0, 0, 0);
             for pixel in 0..view.id.len() {

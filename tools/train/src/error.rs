@@ -64,7 +64,7 @@ pub enum Error {
     /// Lifting or refining a clip failed.
     #[error("{0}")]
     Stage(String),
-    /// A recorded pose is no rigid transform.
+    /// A recorded pose is missing or not a rigid transform.
     #[error(transparent)]
     Geometry(#[from] rogs_geometry::Error),
     /// The rasteriser failed.

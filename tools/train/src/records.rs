@@ -6,7 +6,7 @@ use rogs_schemas::records::clip::{
 };
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
-use rogs_synth::{ARM_JOINT_NAMES, CAMERA_NAMES, CAMERAS, FIRST_OBJECT_ID, View, rigid_pose};
+use rogs_synth::{ARM_JOINT_NAMES, CAMERA_NAMES, CAMERAS, FIRST_OBJECT_ID, View};
 
 use crate::error::Result;
 use crate::sample::{DEPTH_RANGE_M, Maker, SOURCE_CAMERAS, links, support};
@@ -64,10 +64,10 @@ impl Maker<'_> {
                 CameraRole::Evaluation
             },
             partner: index.checked_sub(SOURCE_CAMERAS).map(|partner| partner as u32),
-            intrinsics: self.episode.cameras[index].intrinsics,
+            intrinsics: self.episode.cameras[index].lens.intrinsics,
             mount: CameraMount::Trajectory {
                 base_from_camera: (0..self.data.clip_frames)
-                    .map(|frame| rigid_pose(&self.recorded(index, self.frame(frame))))
+                    .map(|frame| self.recorded(index, self.frame(frame)).to_rigid())
                     .collect(),
             },
             rgb: None,
@@ -140,7 +140,7 @@ impl Maker<'_> {
             (0..count).filter_map(move |id| {
                 self.episode
                     .body_pose(id, self.frame(frame))
-                    .map(|pose| rigid_pose(&pose))
+                    .map(|pose| pose.to_rigid())
             })
         });
         let maps = clip.source_views().into_iter().map(|view| {
@@ -163,9 +163,9 @@ impl Maker<'_> {
             base_from_link: link_poses.collect(),
             base_from_camera: (0..CAMERAS)
                 .flat_map(|camera| frames.clone().map(move |frame| (camera, frame)))
-                .map(|(camera, frame)| rigid_pose(&self.recorded(camera, self.frame(frame))))
+                .map(|(camera, frame)| self.recorded(camera, self.frame(frame)).to_rigid())
                 .collect(),
-            recon_from_base: rigid_pose(&self.recon_from_base),
+            recon_from_base: self.recon_from_base.to_rigid(),
             tool_m: frames
                 .clone()
                 .flat_map(|frame| self.episode.tool(self.frame(frame)).to_array())

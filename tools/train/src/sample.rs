@@ -1,16 +1,16 @@
 //! One training clip from a procedural episode: what the network sees, and exact references for every loss.
 
-use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
+use rogs_geometry::{Base, Camera, Pose, PosedCamera, Recon};
 use rogs_lift::LiftParams;
 use rogs_robot_maps::{SupportRule, valid_support};
 use rogs_schemas::records::clip::time_of_frame;
 use rogs_schemas::records::conditioning::{GripperPrior, KAPPA_CHANNELS};
 use rogs_schemas::records::robot::NO_LINK;
-use rogs_schemas::units::{UNITS_PER_METRE, iu_from_m};
-use rogs_splat::Camera as RasterCamera;
-use rogs_stage1::{Camera, FramePose};
-use rogs_synth::{Episode, FIRST_OBJECT_ID, FIRST_SCENERY_ID, View, rigid_inverse, rigid_pose};
+use rogs_schemas::units::{LengthUnit, UNITS_PER_METRE, iu_from_m};
+use rogs_splat::RasterCamera;
+use rogs_stage1::NetworkCamera;
+use rogs_synth::{Episode, EpisodeCamera, FIRST_OBJECT_ID, FIRST_SCENERY_ID, View};
 
 use crate::config::DataSettings;
 use crate::plan::ClipPlan;
@@ -32,11 +32,11 @@ pub struct Sample {
     pub size: [usize; 2],
     /// RGB in 0..1. `[S, 3, H, W]`
     pub images: Vec<f32>,
-    /// Camera of each view.
-    pub cameras: Vec<Camera>,
-    /// The base of the robot.
-    pub base: FramePose,
-    /// The same for the rasteriser.
+    /// Camera of each view, as the network sees it.
+    pub cameras: Vec<NetworkCamera>,
+    /// Where the base of the robot stands, internal units.
+    pub recon_from_base_iu: Pose<Recon, Base>,
+    /// Camera of each view, as it renders.
     pub raster_cameras: Vec<RasterCamera>,
     /// Index of the camera of each view, and its normalised time. `[S]`
     pub views: Vec<(u32, f32)>,
@@ -116,8 +116,8 @@ pub(crate) struct Maker<'a> {
     pub(crate) plan: &'a ClipPlan,
     pub(crate) data: &'a DataSettings,
     pub(crate) episode: &'a Episode,
-    /// Reconstruction frame from base, metres.
-    pub(crate) recon_from_base: DAffine3,
+    /// Where the base of the robot stands, metres.
+    pub(crate) recon_from_base: Pose<Recon, Base>,
 }
 
 impl<'a> Maker<'a> {
@@ -126,9 +126,11 @@ impl<'a> Maker<'a> {
             plan,
             data,
             episode,
-            recon_from_base: DAffine3::IDENTITY,
+            recon_from_base: Pose::IDENTITY,
         };
-        maker.recon_from_base = rigid_inverse(&maker.recorded(0, maker.frame(plan.sources[0])));
+        let base_from_first = maker.recorded(0, maker.frame(plan.sources[0]));
+        // The reconstruction frame is that of the first camera at the first source time.
+        maker.recon_from_base = base_from_first.inverse().relabelled();
         maker
     }
 
@@ -138,11 +140,11 @@ impl<'a> Maker<'a> {
     }
 
     /// Camera-to-base pose as it is recorded.
-    pub(crate) fn recorded(&self, camera: usize, frame: usize) -> DAffine3 {
-        let lens = &self.episode.cameras[camera];
-        let recorded = rogs_synth::Camera {
-            mount: lens.recorded_mount,
-            ..*lens
+    pub(crate) fn recorded(&self, camera: usize, frame: usize) -> Pose<Base, Camera> {
+        let camera = &self.episode.cameras[camera];
+        let recorded = EpisodeCamera {
+            mount: camera.recorded_mount,
+            ..*camera
         };
         recorded.base_from_camera(&self.episode.base_from_flange(frame))
     }
@@ -161,7 +163,7 @@ impl<'a> Maker<'a> {
             size: [height, width],
             images: Vec::with_capacity(order.len() * 3 * area),
             cameras: Vec::new(),
-            base: self.base(),
+            recon_from_base_iu: self.recon_from_base.in_unit(LengthUnit::Internal),
             raster_cameras: Vec::new(),
             views: Vec::new(),
             depth_iu: Vec::with_capacity(order.len() * area),
@@ -186,7 +188,7 @@ impl<'a> Maker<'a> {
             let (depth, valid) = reference_depth(view);
             sample.depth_iu.extend(depth);
             sample.valid.extend(valid);
-            let k = &self.episode.cameras[camera].intrinsics;
+            let k = &self.episode.cameras[camera].lens.intrinsics;
             let footprint = footprint_px.map(|pixels| pixels / k.fx.min(k.fy) as f32);
             for (&depth_m, supported) in view.depth_m.iter().zip(support(view, self.data.size)) {
                 let supported = supported != 0;
@@ -202,8 +204,11 @@ impl<'a> Maker<'a> {
             sample
                 .trackable
                 .extend(view.id.iter().map(|&id| mark(id < FIRST_SCENERY_ID)));
-            sample.cameras.push(self.network_camera(camera, frame));
-            sample.raster_cameras.push(self.raster_camera(camera, frame));
+            let posed = self.posed(camera, frame);
+            sample.cameras.push(NetworkCamera::new(&posed));
+            sample
+                .raster_cameras
+                .push(RasterCamera::new(&posed, LengthUnit::Internal));
             let time = time_of_frame(clip_frame, self.data.clip_frames as usize) as f32;
             sample.views.push((camera as u32, time));
         }
@@ -230,7 +235,7 @@ impl<'a> Maker<'a> {
             let (depth_iu, valid) = reference_depth(view);
             Target {
                 right: camera >= SOURCE_CAMERAS,
-                camera: self.raster_camera(camera, to),
+                camera: RasterCamera::new(&self.posed(camera, to), LengthUnit::Internal),
                 rgb: view.rgb.iter().map(|&value| f32::from(value) / 255.0).collect(),
                 depth_iu,
                 valid,
@@ -252,15 +257,15 @@ impl<'a> Maker<'a> {
 
     /// How one view's pixels move from frame to frame.
     fn motion(&self, view: &View, camera: usize, from: usize, to: usize) -> Motion {
-        let lens = &self.episode.cameras[camera];
-        let (width, area, k) = (lens.width as usize, view.id.len(), lens.intrinsics);
+        let lens = self.episode.cameras[camera].lens;
+        let (width, area) = (lens.width as usize, view.id.len());
         let recon_from_camera = self.recon_from_base * self.episode.base_from_camera(camera, from);
-        let base_from_recon = rigid_inverse(&self.recon_from_base);
+        let base_from_recon = self.recon_from_base.inverse();
         // How each body moves, in the reconstruction frame; `None` where it stays.
-        let moves: Vec<Option<DAffine3>> = (0..FIRST_SCENERY_ID)
+        let moves: Vec<Option<Pose<Recon, Recon>>> = (0..FIRST_SCENERY_ID)
             .map(|id| {
                 let (before, after) = (self.episode.body_pose(id, from)?, self.episode.body_pose(id, to)?);
-                (before != after).then(|| self.recon_from_base * after * rigid_inverse(&before) * base_from_recon)
+                (before != after).then(|| self.recon_from_base * after * before.inverse() * base_from_recon)
             })
             .collect();
         let prior = self.prior(camera, from);
@@ -280,15 +285,11 @@ impl<'a> Maker<'a> {
             let Some(Some(motion)) = moves.get(usize::from(id)) else {
                 continue;
             };
-            let ray = DVec3::new(
-                (column as f64 + 0.5 - k.cx) / k.fx,
-                (row as f64 + 0.5 - k.cy) / k.fy,
-                1.0,
-            );
-            let point = recon_from_camera.transform_point3(ray * f64::from(depth_m));
-            let moved = (motion.transform_point3(point) - point) * UNITS_PER_METRE;
-            let ray = recon_from_camera.transform_vector3(ray);
-            let slope = motion.transform_vector3(ray) - ray;
+            let ray = lens.ray(column as u32, row as u32);
+            let point = recon_from_camera.point(ray * f64::from(depth_m));
+            let moved = (motion.point(point) - point) * UNITS_PER_METRE;
+            let ray = recon_from_camera.direction(ray);
+            let slope = motion.direction(ray) - ray;
             for axis in 0..3 {
                 displacement_iu[axis * area + pixel] = moved[axis] as f32;
                 if supported {
@@ -305,8 +306,8 @@ impl<'a> Maker<'a> {
     }
 
     fn prior(&self, camera: usize, frame: usize) -> GripperPrior {
-        let k = self.episode.cameras[camera].intrinsics;
-        let tool = rigid_inverse(&self.recorded(camera, frame)).transform_point3(self.episode.tool(frame));
+        let k = self.episode.cameras[camera].lens.intrinsics;
+        let tool = self.recorded(camera, frame).inverse().point(self.episode.tool(frame));
         let centre_px = if tool.z > 0.0 {
             [tool.x / tool.z * k.fx + k.cx, tool.y / tool.z * k.fy + k.cy]
         } else {
@@ -320,29 +321,10 @@ impl<'a> Maker<'a> {
         }
     }
 
-    fn base(&self) -> FramePose {
-        let pose = rigid_pose(&self.recon_from_base);
-        FramePose {
-            rotation: pose.rotation,
-            translation_iu: pose.translation.map(|metres| metres * UNITS_PER_METRE),
-        }
-    }
-
-    fn network_camera(&self, camera: usize, frame: usize) -> Camera {
-        let lens = &self.episode.cameras[camera];
-        let (width, height, k) = (f64::from(lens.width), f64::from(lens.height), lens.intrinsics);
-        let pose = rigid_pose(&(self.recon_from_base * self.recorded(camera, frame)));
-        Camera {
-            rotation: pose.rotation,
-            translation_iu: pose.translation.map(|metres| metres * UNITS_PER_METRE),
-            focal_centre: [k.fx / width, k.fy / height, k.cx / width, k.cy / height],
-        }
-    }
-
-    fn raster_camera(&self, camera: usize, frame: usize) -> RasterCamera {
-        let lens = &self.episode.cameras[camera];
-        let pose = rigid_pose(&(self.recon_from_base * self.recorded(camera, frame)));
-        RasterCamera::from_world_pose(lens.width, lens.height, &lens.intrinsics, &pose, UNITS_PER_METRE)
+    /// A camera in the reconstruction frame, as its pose is recorded.
+    fn posed(&self, camera: usize, frame: usize) -> PosedCamera<Recon> {
+        let lens = self.episode.cameras[camera].lens;
+        PosedCamera::new(lens, self.recorded(camera, frame)).in_frame(&self.recon_from_base)
     }
 }
 

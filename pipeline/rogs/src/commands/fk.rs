@@ -4,8 +4,8 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use rogs_geometry::RobotModel;
-use rogs_geometry::fk_json::fk_rows;
+use rogs_robot::RobotModel;
+use rogs_robot::fk_json::fk_rows;
 
 use crate::output;
 

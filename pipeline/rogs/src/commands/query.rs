@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context as _, bail, ensure};
-use rogs_geometry::{Base, Link, Pose, Recon};
+use rogs_geometry::{Base, Link, Pose, Recon, wxyz_f32};
 use rogs_lift::{FieldQuery, LiftParams, MotionOptions, RobotAtTime, load_model};
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::field::Field;
@@ -134,8 +134,7 @@ fn robot_at(field: &Field, maps: &Path, conditioning: &Path, time: f64) -> anyho
                 kappa[(2 + axis) * area + pixel] = (moved[axis] * UNITS_PER_METRE) as f32;
             }
         }
-        let wxyz = |q: glam::DQuat| [q.w as f32, q.x as f32, q.y as f32, q.z as f32];
-        let link_rotation = motions.iter().map(|motion| wxyz(motion.quaternion())).collect();
+        let link_rotation = motions.iter().map(|motion| wxyz_f32(motion.quaternion())).collect();
         robot.push(Some(RobotAtTime { kappa, link_rotation }));
     }
     Ok(robot)
@@ -146,11 +145,7 @@ fn interpolate(a: &RigidPose, b: &RigidPose, share: f64) -> anyhow::Result<Pose<
     let (a, b): (Pose<Base, Link>, Pose<Base, Link>) = (Pose::from_rigid(a)?, Pose::from_rigid(b)?);
     let rotation = glam::DMat3::from_quat(a.quaternion().slerp(b.quaternion(), share));
     let translation = a.translation.lerp(b.translation, share);
-    let pose = RigidPose {
-        rotation: rotation.transpose().to_cols_array(),
-        translation: translation.to_array(),
-    };
-    Ok(Pose::from_rigid(&pose)?)
+    Ok(Pose::new(rotation, translation))
 }
 
 #[cfg(test)]

@@ -7,11 +7,12 @@ use std::process::ExitCode;
 
 use anyhow::{Context as _, bail, ensure};
 use rogs_field::{Axes, TimedField, export_field_in};
-use rogs_geometry::{Base, Camera as CameraFrame, Pose, Recon};
+use rogs_geometry::{Base, Camera, Pinhole, Pose, PosedCamera, Recon};
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::Refinement;
+use rogs_schemas::units::LengthUnit;
 use rogs_schemas::{Intrinsics, read_record};
-use rogs_splat::{Camera, Gaussians, RasterConfig, RasterDevice, Render};
+use rogs_splat::{Gaussians, RasterCamera, RasterConfig, RasterDevice, Render};
 use serde::{Deserialize, Serialize};
 
 use crate::output;
@@ -125,7 +126,8 @@ struct Scene {
     /// A field's have their displacement in metres as extra channels where it is asked for.
     gaussians: Gaussians,
     time: Option<f64>,
-    units_per_metre: f64,
+    /// Of the Gaussians' lengths.
+    unit: LengthUnit,
     recon_from_base: Pose<Recon, Base>,
 }
 
@@ -150,12 +152,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
             args.scene.display()
         );
         let scene = rogs_field::ply::read_ply_file(&args.scene)?;
-        let recon_from_base = Pose::from_matrix4(&IDENTITY)?;
         let scene = Scene {
             gaussians: scene.gaussians,
             time: None,
-            units_per_metre: 1.0,
-            recon_from_base,
+            unit: LengthUnit::Metre,
+            recon_from_base: Pose::IDENTITY,
         };
         return render_scene(&scene, &args.view, None);
     }
@@ -202,7 +203,7 @@ pub(crate) fn render_field(
             timed.gaussians(time)?
         },
         time: Some(time),
-        units_per_metre: rogs_schemas::units::UNITS_PER_METRE,
+        unit: LengthUnit::Internal,
         recon_from_base: Pose::from_rigid(&field.recon_from_base)?,
     };
     let ply = |path: &Path| -> anyhow::Result<()> {
@@ -224,7 +225,7 @@ fn make_folder(path: &Path) -> anyhow::Result<()> {
 fn render_scene(scene: &Scene, args: &ViewArgs, ply: Option<&WritePly<'_>>) -> anyhow::Result<ExitCode> {
     let cameras = read_cameras(&args.camera)?;
     let device = RasterDevice::open(&args.device)?;
-    let views: Vec<(Pose<Recon, CameraFrame>, Camera)> = cameras
+    let views: Vec<(PosedCamera<Recon>, RasterCamera)> = cameras
         .iter()
         .map(|spec| camera(spec, scene))
         .collect::<anyhow::Result<_>>()?;
@@ -239,17 +240,16 @@ fn render_scene(scene: &Scene, args: &ViewArgs, ply: Option<&WritePly<'_>>) -> a
     };
     let mut rendered = Vec::new();
     // A view at a time: images of many large views would not fit in memory together.
-    for (spec, (recon_from_camera, camera)) in cameras.iter().zip(views) {
+    for (spec, (posed, camera)) in cameras.iter().zip(views) {
         let views = device.render_views(&scene.gaussians, &[camera], &RasterConfig::default())?;
         let view = views
             .into_iter()
             .next()
             .context("one view was asked for, none was rendered")?;
-        let mut files = write(args, spec, &view, scene.units_per_metre)?;
+        let mut files = write(args, spec, &view, scene.unit)?;
         if args.npz {
             let path = args.out.join(format!("{}.npz", spec.name));
-            write_npz(&path, spec, &recon_from_camera, &view, scene)
-                .with_context(|| format!("writing `{}`", path.display()))?;
+            write_npz(&path, &posed, &view, scene).with_context(|| format!("writing `{}`", path.display()))?;
             files.push(path);
         }
         rendered.push(Rendered {
@@ -305,15 +305,13 @@ fn read_cameras(path: &Path) -> anyhow::Result<Vec<CameraSpec>> {
     Ok(cameras)
 }
 
-const IDENTITY: [f64; 16] = [1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1.];
-
-/// Pose and camera of a view.
-fn camera(spec: &CameraSpec, scene: &Scene) -> anyhow::Result<(Pose<Recon, CameraFrame>, Camera)> {
+/// The camera of a view, in metres and as it is rendered from.
+fn camera(spec: &CameraSpec, scene: &Scene) -> anyhow::Result<(PosedCamera<Recon>, RasterCamera)> {
     let flat = |matrix: &[[f64; 4]; 4]| -> [f64; 16] { std::array::from_fn(|index| matrix[index / 4][index % 4]) };
-    let recon_from_camera: Pose<Recon, CameraFrame> = match (&spec.recon_from_camera, &spec.base_from_camera) {
+    let recon_from_camera: Pose<Recon, Camera> = match (&spec.recon_from_camera, &spec.base_from_camera) {
         (Some(matrix), None) => Pose::from_matrix4(&flat(matrix))?,
         (None, Some(matrix)) => {
-            let base_from_camera: Pose<Base, CameraFrame> = Pose::from_matrix4(&flat(matrix))?;
+            let base_from_camera: Pose<Base, Camera> = Pose::from_matrix4(&flat(matrix))?;
             scene.recon_from_base * base_from_camera
         }
         _ => bail!(
@@ -321,25 +319,24 @@ fn camera(spec: &CameraSpec, scene: &Scene) -> anyhow::Result<(Pose<Recon, Camer
             spec.name
         ),
     };
-    let pose = recon_from_camera.to_rigid();
-    let camera = Camera::from_world_pose(spec.width, spec.height, &spec.intrinsics, &pose, scene.units_per_metre);
+    let lens = Pinhole {
+        intrinsics: spec.intrinsics,
+        width: spec.width,
+        height: spec.height,
+    };
+    let posed = PosedCamera::new(lens, recon_from_camera);
+    let camera = RasterCamera::new(&posed, scene.unit);
     camera
         .validate()
         .with_context(|| format!("camera `{}` cannot be rendered", spec.name))?;
-    Ok((recon_from_camera, camera))
+    Ok((posed, camera))
 }
 
 /// All numbers of a view: images of f32, `[H, W]` or `[H, W, 3]`, and the camera in f64.
-fn write_npz(
-    path: &Path,
-    spec: &CameraSpec,
-    recon_from_camera: &Pose<Recon, CameraFrame>,
-    view: &Render,
-    scene: &Scene,
-) -> std::io::Result<()> {
+fn write_npz(path: &Path, camera: &PosedCamera<Recon>, view: &Render, scene: &Scene) -> std::io::Result<()> {
     let (height, width) = (view.height, view.width);
-    let depth: Vec<f32> = metres(&view.depth_expected, scene.units_per_metre);
-    let Intrinsics { fx, fy, cx, cy } = spec.intrinsics;
+    let depth: Vec<f32> = metres(&view.depth_expected, scene.unit);
+    let Intrinsics { fx, fy, cx, cy } = camera.lens.intrinsics;
     let mut arrays = vec![
         npz::Array::f32("rgb", &[height, width, 3], &view.rgb),
         npz::Array::f32("alpha", &[height, width], &view.alpha),
@@ -353,7 +350,7 @@ fn write_npz(
     arrays.push(npz::Array::f64(
         "recon_from_camera",
         &[4, 4],
-        &recon_from_camera.to_matrix4(),
+        &camera.world_from_camera.to_matrix4(),
     ));
     if let Some(time) = scene.time {
         arrays.push(npz::Array::f64("time", &[], &[time]));
@@ -361,11 +358,11 @@ fn write_npz(
     npz::write(path, &arrays)
 }
 
-fn metres(depth: &[f32], units_per_metre: f64) -> Vec<f32> {
-    depth.iter().map(|depth| depth / units_per_metre as f32).collect()
+fn metres(depth: &[f32], unit: LengthUnit) -> Vec<f32> {
+    depth.iter().map(|&depth| unit.to_m(depth)).collect()
 }
 
-fn write(args: &ViewArgs, spec: &CameraSpec, view: &Render, units_per_metre: f64) -> anyhow::Result<Vec<PathBuf>> {
+fn write(args: &ViewArgs, spec: &CameraSpec, view: &Render, unit: LengthUnit) -> anyhow::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     let png = args.out.join(format!("{}.png", spec.name));
     let bytes: Vec<u8> = view
@@ -384,7 +381,7 @@ fn write(args: &ViewArgs, spec: &CameraSpec, view: &Render, units_per_metre: f64
         Ok(())
     };
     if args.depth {
-        plane("depth", "Z", metres(&view.depth_expected, units_per_metre))?;
+        plane("depth", "Z", metres(&view.depth_expected, unit))?;
     }
     if args.alpha {
         plane("alpha", "A", view.alpha.clone())?;

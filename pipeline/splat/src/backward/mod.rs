@@ -11,7 +11,7 @@ mod views;
 
 pub use views::{PoseGradient, backward_views, render_views_with_tape};
 
-use crate::camera::{ALPHA_FLOOR, Camera, RasterConfig, View};
+use crate::camera::{ALPHA_FLOOR, RasterCamera, RasterConfig, View};
 use crate::error::{Result, SplatError};
 use crate::gaussians::Gaussians;
 use crate::project::{CHUNK, Projection};
@@ -107,7 +107,7 @@ impl Tape {
 ///
 /// # Errors
 /// As [`crate::render()`].
-pub fn render_with_tape(gaussians: &Gaussians, camera: &Camera, config: &RasterConfig) -> Result<(Render, Tape)> {
+pub fn render_with_tape(gaussians: &Gaussians, camera: &RasterCamera, config: &RasterConfig) -> Result<(Render, Tape)> {
     let (mut renders, mut tapes) = render_views_with_tape(gaussians, std::slice::from_ref(camera), config)?;
     match (renders.pop(), tapes.pop()) {
         (Some(render), Some(tape)) => Ok((render, tape)),

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use crate::backward::tile::Touched;
 use crate::backward::{Gradients, Pass, RenderGradient, Tape, chain};
-use crate::camera::{Camera, RasterConfig};
+use crate::camera::{RasterCamera, RasterConfig};
 use crate::error::{Result, SplatError};
 use crate::gaussians::Gaussians;
 use crate::project::{CHUNK, for_each_view};
@@ -35,7 +35,7 @@ pub struct PoseGradient {
 /// As [`crate::render()`]; the first view with an error.
 pub fn render_views_with_tape(
     gaussians: &Gaussians,
-    cameras: &[Camera],
+    cameras: &[RasterCamera],
     config: &RasterConfig,
 ) -> Result<(Vec<Render>, Vec<Tape>)> {
     let views = check_views(gaussians, cameras, config)?;

@@ -1,7 +1,7 @@
 //! Gradients of renders on the device.
 
 use crate::backward::{Gradients, PoseGradient, RenderGradient};
-use crate::camera::{Camera, Mode, RasterConfig};
+use crate::camera::{Mode, RasterCamera, RasterConfig};
 use crate::error::{Result, SplatError};
 use crate::render::Render;
 
@@ -26,7 +26,7 @@ pub struct GpuTape {
 /// As [`super::render_views`].
 pub fn render_views_with_tape(
     scene: &GpuScene,
-    cameras: &[Camera],
+    cameras: &[RasterCamera],
     config: &RasterConfig,
 ) -> Result<(Vec<Render>, GpuTape)> {
     let mut renders = Vec::with_capacity(cameras.len());

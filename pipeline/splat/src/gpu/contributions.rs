@@ -1,6 +1,6 @@
 //! Contribution sums on the device.
 
-use crate::camera::{Camera, RasterConfig};
+use crate::camera::{RasterCamera, RasterConfig};
 use crate::contributions::Eligible;
 use crate::error::{Result, SplatError};
 use crate::render::Render;
@@ -39,7 +39,7 @@ struct Part {
 /// As [`super::render_views`], and when the eligibility does not fit the scene.
 pub fn render_views_with_contributions(
     scene: &GpuScene,
-    cameras: &[Camera],
+    cameras: &[RasterCamera],
     config: &RasterConfig,
     eligible: &Eligible,
 ) -> Result<(Vec<Render>, GpuContributions)> {
@@ -61,7 +61,7 @@ pub fn render_views_with_contributions(
     })?;
     let contributions = GpuContributions {
         rows,
-        pixels: cameras.iter().map(Camera::pixels).sum(),
+        pixels: cameras.iter().map(RasterCamera::pixels).sum(),
         scene: scene.clone(),
         parts,
         entries,

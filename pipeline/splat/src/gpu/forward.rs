@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::camera::{ALPHA_FLOOR, Camera, RasterConfig, View};
+use crate::camera::{ALPHA_FLOOR, RasterCamera, RasterConfig, View};
 use crate::error::{Result, SplatError};
 use crate::render::{Counts, Render};
 
@@ -43,7 +43,7 @@ pub(crate) struct Pass {
 ///
 /// # Errors
 /// When cameras or settings make no sense, when the device cannot hold a view, and when it fails.
-pub fn render_views(scene: &GpuScene, cameras: &[Camera], config: &RasterConfig) -> Result<Vec<Render>> {
+pub fn render_views(scene: &GpuScene, cameras: &[RasterCamera], config: &RasterConfig) -> Result<Vec<Render>> {
     let mut renders = Vec::with_capacity(cameras.len());
     for_each_pass(scene, cameras, config, 1, |pass| {
         renders.extend(pass.images(scene, config)?.0);
@@ -56,7 +56,7 @@ pub fn render_views(scene: &GpuScene, cameras: &[Camera], config: &RasterConfig)
 /// `words` words for each of its pairs, must fit into one buffer each.
 pub(crate) fn for_each_pass(
     scene: &GpuScene,
-    cameras: &[Camera],
+    cameras: &[RasterCamera],
     config: &RasterConfig,
     words: usize,
     mut take: impl FnMut(Pass) -> Result<()>,

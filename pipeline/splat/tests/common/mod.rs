@@ -5,7 +5,7 @@
 use std::collections::HashMap;
 use std::path::PathBuf;
 
-use rogs_splat::{Camera, Colour, Gaussians, Mode, RasterConfig};
+use rogs_splat::{Colour, Gaussians, Mode, RasterCamera, RasterConfig};
 
 /// A golden file in memory.
 pub struct Golden {
@@ -126,7 +126,7 @@ impl Golden {
         }
     }
 
-    pub fn camera(&self, index: usize) -> Camera {
+    pub fn camera(&self, index: usize) -> RasterCamera {
         let k = self
             .view("in.Ks", index)
             .iter()
@@ -137,7 +137,7 @@ impl Golden {
             .iter()
             .map(|&v| f64::from(v))
             .collect::<Vec<_>>();
-        Camera {
+        RasterCamera {
             width: self.width() as u32,
             height: self.height() as u32,
             fx: k[0],

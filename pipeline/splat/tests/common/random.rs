@@ -2,7 +2,7 @@
 
 #![allow(dead_code, unreachable_pub, missing_docs)]
 
-use rogs_splat::{Camera, Colour, Gaussians};
+use rogs_splat::{Colour, Gaussians, RasterCamera};
 
 use super::room::Rng;
 
@@ -36,12 +36,12 @@ pub fn scene(count: usize, seed: u64, degree: Option<usize>, extra_channels: usi
     out
 }
 
-pub fn camera(width: u32, height: u32) -> Camera {
+pub fn camera(width: u32, height: u32) -> RasterCamera {
     let focal = 0.7 * f64::from(width);
     // A small rotation about all axes, so that nothing is aligned by accident.
     let (a, b) = (0.11_f64, -0.07_f64);
     let (ca, sa, cb, sb) = (a.cos(), a.sin(), b.cos(), b.sin());
-    Camera {
+    RasterCamera {
         width,
         height,
         fx: focal,

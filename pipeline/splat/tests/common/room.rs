@@ -2,7 +2,7 @@
 
 #![allow(dead_code, unreachable_pub, missing_docs)]
 
-use rogs_splat::{Camera, Colour, Gaussians};
+use rogs_splat::{Colour, Gaussians, RasterCamera};
 
 type V3 = [f64; 3];
 
@@ -111,14 +111,14 @@ pub fn scene(views: usize, times: usize, width: usize, height: usize) -> Gaussia
 }
 
 /// A camera 8 cm beside the first source camera.
-pub fn camera(width: u32, height: u32) -> Camera {
+pub fn camera(width: u32, height: u32) -> RasterCamera {
     camera_from([EYES[0][0] - 0.06, EYES[0][1] + 0.06, EYES[0][2]], width, height)
 }
 
-pub fn camera_from(eye: V3, width: u32, height: u32) -> Camera {
+pub fn camera_from(eye: V3, width: u32, height: u32) -> RasterCamera {
     let axes = look(eye);
     let focal = 0.83 * f64::from(width);
-    Camera {
+    RasterCamera {
         width,
         height,
         fx: focal,

@@ -1,10 +1,11 @@
 //! Which frames a sweep compares, at which points.
 
+use glam::DVec3;
 use rogs_schemas::units::UNITS_PER_METRE;
 
 use super::super::frames::Attention;
 use super::super::frames::SourceFrames;
-use super::super::geometry::Camera;
+use super::super::geometry::NetworkCamera;
 use super::CELL_PIXELS;
 use rogs_kernels::sweep::FINER as SWEEP_FINER;
 use rogs_kernels::{Partner, Sweep};
@@ -56,35 +57,39 @@ pub(super) fn plan(frames: &SourceFrames, depths: usize, grid: [usize; 2]) -> Sw
 /// How the cells of one camera are seen on the grid of another. With K of cells (or of the grid) to rays of depth 1 and the
 /// pose (R, t) of each camera, the point `R ray depth + t` lies at `K' R'^T (R K^-1 (x, y, 1) depth + t - t')`.
 /// `image`: rows and columns of the image in cells.
-fn partner(from: &Camera, frame: usize, to: &Camera, [rows, columns]: [f64; 2]) -> Partner {
+fn partner(from: &NetworkCamera, frame: usize, to: &NetworkCamera, [rows, columns]: [f64; 2]) -> Partner {
     // Centres are half a cell, or half a place of the grid, from their corner.
     let ray = |x: f64, y: f64| from.ray((x + 0.5) / columns, (y + 0.5) / rows);
-    let there = |point: [f64; 3]| {
+    let there = |point: DVec3| {
         let [fx, fy, cx, cy] = to.focal_centre;
         let (local, finer) = (to.turned(point), SWEEP_FINER as f64);
         [
-            fx * columns * finer * local[0] + (cx * columns * finer - 0.5) * local[2],
-            fy * rows * finer * local[1] + (cy * rows * finer - 0.5) * local[2],
-            local[2],
+            fx * columns * finer * local.x + (cx * columns * finer - 0.5) * local.z,
+            fy * rows * finer * local.y + (cy * rows * finer - 0.5) * local.z,
+            local.z,
         ]
     };
     // The map is linear in (x, y, 1): its columns are differences of its values.
     let origin = ray(0.0, 0.0);
-    let less = |a: [f64; 3]| std::array::from_fn(|axis| a[axis] - origin[axis]);
-    let images = [there(less(ray(1.0, 0.0))), there(less(ray(0.0, 1.0))), there(origin)];
-    let between = std::array::from_fn(|axis| from.translation_iu[axis] - to.translation_iu[axis]);
+    let images = [
+        there(ray(1.0, 0.0) - origin),
+        there(ray(0.0, 1.0) - origin),
+        there(origin),
+    ];
+    let between_iu = from.world_from_camera_iu.translation - to.world_from_camera_iu.translation;
     Partner {
         frame,
         turn: std::array::from_fn(|k| images[k % 3][k / 3] as f32),
-        shift: there(between).map(|number| number as f32),
+        shift: there(between_iu).map(|number| number as f32),
     }
 }
 
 #[cfg(test)]
 pub(super) mod tests {
     use burn::tensor::{Device, Tensor};
+    use glam::DMat3;
+    use rogs_geometry::Pose;
 
-    use super::super::super::geometry::FramePose;
     use super::*;
     use rogs_kernels::sweep::FEATURES as SWEEP_FEATURES;
 
@@ -92,11 +97,11 @@ pub(super) mod tests {
     const GRID: [usize; 2] = [16, 23];
 
     /// A camera that stands somewhere, turned about two axes.
-    fn camera(yaw: f64, pitch: f64, translation_iu: [f64; 3]) -> Camera {
+    fn camera(yaw: f64, pitch: f64, translation_iu: [f64; 3]) -> NetworkCamera {
         let (sy, cy, sp, cp) = (libm::sin(yaw), libm::cos(yaw), libm::sin(pitch), libm::cos(pitch));
-        Camera {
-            rotation: [cy, sy * sp, sy * cp, 0.0, cp, -sp, -sy, cy * sp, cy * cp],
-            translation_iu,
+        let rotation = DMat3::from_cols_array(&[cy, 0.0, -sy, sy * sp, cp, cy * sp, sy * cp, -sp, cy * cp]);
+        NetworkCamera {
+            world_from_camera_iu: Pose::new(rotation, DVec3::from_array(translation_iu)),
             focal_centre: [0.6, 1.1, 0.48, 0.53],
         }
     }
@@ -111,7 +116,7 @@ pub(super) mod tests {
         SourceFrames {
             images: Tensor::zeros([4, 3, SIZE[0] * 4, SIZE[1] * 4 - 2], &Device::flex()),
             cameras,
-            base: FramePose::IDENTITY,
+            recon_from_base_iu: Pose::IDENTITY,
             times: vec![0.0, 0.0, 0.0, 0.5],
             attention,
         }
@@ -141,7 +146,7 @@ pub(super) mod tests {
         }
     }
 
-    /// Against points made by `Camera::unproject` and seen by `Camera::project`.
+    /// Against points made by `NetworkCamera::unproject` and seen by `NetworkCamera::project`.
     #[test]
     fn a_point_lies_where_the_other_camera_sees_it() {
         let frames = frames(Attention::Joint);
@@ -180,7 +185,7 @@ pub(super) mod tests {
     fn a_textured_plane_is_found_at_its_depth() {
         let frames = SourceFrames {
             cameras: vec![camera(0.0, 0.0, [0.0; 3]), camera(0.0, 0.0, [0.6, 0.0, 0.0])],
-            base: FramePose::IDENTITY,
+            recon_from_base_iu: Pose::IDENTITY,
             times: vec![0.0; 2],
             images: Tensor::zeros([2, 3, 64, 96], &Device::flex()),
             attention: Attention::Joint,

@@ -21,11 +21,11 @@ pub(super) fn rays(frames: &SourceFrames, depths: usize, [rows, columns]: [usize
     let cells = rows * columns;
     let mut map = vec![0.0f32; frames.cameras.len() * NUMBERS * cells];
     for (camera, map) in frames.cameras.iter().zip(map.chunks_exact_mut(NUMBERS * cells)) {
-        let camera = camera.seen_from(&frames.base);
+        let camera = camera.seen_from(&frames.recon_from_base_iu);
         for cell in 0..cells {
             let centre = |index: usize, side: usize| ((index as f64 + 0.5) * CELL_PIXELS as f64) / side as f64;
             let (u, v) = (centre(cell % columns, width), centre(cell / columns, height));
-            let ([.., climb], above) = (camera.ray(u, v), camera.translation_iu[2]);
+            let (climb, above) = (camera.ray(u, v).z, camera.world_from_camera_iu.translation.z);
             let met = HEIGHTS_M.map(|height_m| {
                 let depth = (height_m * UNITS_PER_METRE - above) / climb;
                 if depth > 0.0 && depth.is_finite() {
@@ -45,9 +45,11 @@ pub(super) fn rays(frames: &SourceFrames, depths: usize, [rows, columns]: [usize
 #[cfg(test)]
 mod tests {
     use burn::tensor::{Device, Tensor};
+    use glam::{DMat3, DVec3};
+    use rogs_geometry::Pose;
 
     use super::super::super::frames::Attention;
-    use super::super::super::geometry::{Camera, FramePose};
+    use super::super::super::geometry::NetworkCamera;
     use super::*;
 
     const DEPTHS: usize = 64;
@@ -56,15 +58,14 @@ mod tests {
     fn looking_down() -> SourceFrames {
         SourceFrames {
             images: Tensor::zeros([1, 3, 16, 32], &Device::flex()),
-            cameras: vec![Camera {
-                rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-                translation_iu: [0.0; 3],
+            cameras: vec![NetworkCamera {
+                world_from_camera_iu: Pose::IDENTITY,
                 focal_centre: [0.6, 1.2, 0.5, 0.5],
             }],
-            base: FramePose {
-                rotation: [1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0],
-                translation_iu: [0.3, 0.2, UNITS_PER_METRE],
-            },
+            recon_from_base_iu: Pose::new(
+                DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)),
+                DVec3::new(0.3, 0.2, UNITS_PER_METRE),
+            ),
             times: vec![0.0],
             attention: Attention::Joint,
         }
@@ -92,7 +93,7 @@ mod tests {
     #[test]
     fn heights_behind_the_camera_are_never_met() {
         let mut frames = looking_down();
-        frames.base.translation_iu[2] = -UNITS_PER_METRE;
+        frames.recon_from_base_iu.translation.z = -UNITS_PER_METRE;
         let map = rays(&frames, DEPTHS, [4, 8]);
         assert!(map[6 * 32..7 * 32].iter().all(|&place| place == 1.5));
     }

@@ -7,7 +7,8 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use rogs_stage1::{Camera, Stage1, Stage1Config};
+use rogs_geometry::Pose;
+use rogs_stage1::{NetworkCamera, Stage1, Stage1Config};
 use rogs_tensors::parameters::{Parameters, to_host};
 use safetensors::{Dtype, SafeTensors};
 
@@ -84,13 +85,16 @@ impl Golden {
         Tensor::from_data(TensorData::new(self.values(name).to_vec(), shape), device)
     }
 
-    pub fn cameras(&self, matrices: &str, intrinsics: &str) -> Vec<Camera> {
+    pub fn cameras(&self, matrices: &str, intrinsics: &str) -> Vec<NetworkCamera> {
         let focal = |values: &[f32]| std::array::from_fn(|index| f64::from(values[index]));
         let intrinsics = self.values(intrinsics).chunks_exact(4).map(focal);
         self.matrices(matrices)
             .iter()
             .zip(intrinsics)
-            .map(|(matrix, focal)| Camera::from_matrix(matrix, focal))
+            .map(|(matrix, focal_centre)| NetworkCamera {
+                world_from_camera_iu: Pose::from_matrix4(matrix).unwrap(),
+                focal_centre,
+            })
             .collect()
     }
 }

@@ -1,8 +1,9 @@
 //! The tiny network on the frames of `full_forward`.
 
 use burn::tensor::{Device, Tensor};
+use rogs_geometry::Pose;
 use rogs_stage1::decode::activate_depth;
-use rogs_stage1::{Attention, Encoded, FramePose, HeadKind, SourceFrames, Stage1};
+use rogs_stage1::{Attention, Encoded, HeadKind, SourceFrames, Stage1};
 
 use super::Golden;
 
@@ -20,7 +21,7 @@ pub fn frames(golden: &Golden, device: &Device) -> SourceFrames {
     SourceFrames {
         images: golden.tensor("in.images", [4, 3, 28, 42], device),
         cameras: golden.cameras("in.C2W", "in.fxfycxcy"),
-        base: FramePose::IDENTITY,
+        recon_from_base_iu: Pose::IDENTITY,
         times: golden.values("in.input_timesteps").to_vec(),
         attention: Attention::Joint,
     }

@@ -7,7 +7,7 @@
 //! ```
 //! use burn::tensor::{Device, Tensor};
 //! use rogs_tensors::render::{ColourTensor, GaussianTensors, render_views};
-//! use rogs_splat::{Camera, RasterConfig};
+//! use rogs_splat::{RasterCamera, RasterConfig};
 //!
 //! let device = Device::flex().autodiff();
 //! let means = Tensor::<2>::from_floats([[0.0, 0.0, 2.0], [0.3, 0.1, 2.5]], &device).require_grad();
@@ -19,7 +19,7 @@
 //!     colours: ColourTensor::Rgb(Tensor::from_floats([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], &device)),
 //!     extra: Some(Tensor::zeros([2, 3], &device)), // for example displacements; None for none
 //! };
-//! let camera = Camera {
+//! let camera = RasterCamera {
 //!     width: 32,
 //!     height: 24,
 //!     fx: 30.0,
@@ -29,7 +29,7 @@
 //!     rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
 //!     translation: [0.0; 3],
 //! };
-//! let beside = Camera { translation: [-0.2, 0.0, 0.0], ..camera };
+//! let beside = RasterCamera { translation: [-0.2, 0.0, 0.0], ..camera };
 //! let views = render_views(&gaussians, &[camera, beside], None, &RasterConfig::default())?;
 //! assert_eq!(views.rgb.dims(), [2, 24, 32, 3]); // views, rows, columns, channels
 //!
@@ -47,7 +47,7 @@ use std::sync::Arc;
 
 use burn::backend::Dispatch;
 use burn::tensor::{DType, Device, Tensor};
-use rogs_splat::{Camera, Counts, RasterConfig};
+use rogs_splat::{Counts, RasterCamera, RasterConfig};
 
 use crate::{Error, Result};
 use op::{Call, Rasterise};
@@ -103,7 +103,7 @@ pub struct RenderedViews {
 /// When shapes, value types or devices do not fit, and when a camera or a setting makes no sense.
 pub fn render_views(
     gaussians: &GaussianTensors,
-    cameras: &[Camera],
+    cameras: &[RasterCamera],
     poses: Option<&Tensor<3>>,
     config: &RasterConfig,
 ) -> Result<RenderedViews> {

@@ -11,7 +11,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Flex, backend_extension};
 use burn::tensor::TensorData;
 use rogs_splat::{
-    Camera, Colour, Counts, Gaussians, RasterConfig, Render, RenderGradient, SplatError, Tape, backward_views,
+    Colour, Counts, Gaussians, RasterCamera, RasterConfig, Render, RenderGradient, SplatError, Tape, backward_views,
     render_views, render_views_with_tape,
 };
 
@@ -22,7 +22,7 @@ const INPUTS: usize = 7;
 /// One call of the operation: what is not a tensor, and what the forward pass leaves behind.
 pub(super) struct Call {
     /// The views, all of one size.
-    pub(super) cameras: Vec<Camera>,
+    pub(super) cameras: Vec<RasterCamera>,
     pub(super) config: RasterConfig,
     /// Degree of the harmonics; `None` for RGB.
     pub(super) degree: Option<usize>,
@@ -47,7 +47,7 @@ struct Saved {
 
 impl Call {
     pub(super) fn new(
-        cameras: &[Camera],
+        cameras: &[RasterCamera],
         config: &RasterConfig,
         degree: Option<usize>,
         extra_channels: usize,
@@ -73,7 +73,7 @@ impl Call {
     }
 
     fn pixels(&self) -> usize {
-        self.cameras.first().map_or(0, Camera::pixels)
+        self.cameras.first().map_or(0, RasterCamera::pixels)
     }
 
     /// Channels of a pixel in the packed result: colour, opacity, depth, extra channels.

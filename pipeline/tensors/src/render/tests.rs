@@ -1,7 +1,9 @@
 //! The operation against the rasteriser itself, against differences, and in an optimisation.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use rogs_splat::{Camera, Colour, Gaussians, RasterConfig, RenderGradient, backward_views, render_views_with_tape};
+use rogs_splat::{
+    Colour, Gaussians, RasterCamera, RasterConfig, RenderGradient, backward_views, render_views_with_tape,
+};
 
 use super::*;
 
@@ -44,8 +46,8 @@ fn scene(count: usize, degree: Option<usize>, extra_channels: usize, seed: u64) 
     }
 }
 
-fn cameras() -> [Camera; 2] {
-    let camera = Camera {
+fn cameras() -> [RasterCamera; 2] {
+    let camera = RasterCamera {
         width: 30,
         height: 22,
         fx: 28.0,
@@ -59,7 +61,7 @@ fn cameras() -> [Camera; 2] {
     let (c, s) = (f64::from(0.96_f32), f64::from(0.28_f32));
     [
         camera,
-        Camera {
+        RasterCamera {
             rotation: [c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c],
             translation: [-0.75, 0.125, 0.25],
             ..camera
@@ -94,7 +96,7 @@ fn tensors(scene: &Gaussians, device: &Device) -> GaussianTensors {
     }
 }
 
-fn poses(cameras: &[Camera], device: &Device) -> Tensor<3> {
+fn poses(cameras: &[RasterCamera], device: &Device) -> Tensor<3> {
     let numbers: Vec<f32> = cameras
         .iter()
         .flat_map(|camera| {
@@ -138,7 +140,7 @@ impl Weights {
     }
 
     /// The loss in float64 from plain renders.
-    fn plain(&self, scene: &Gaussians, cameras: &[Camera]) -> f64 {
+    fn plain(&self, scene: &Gaussians, cameras: &[RasterCamera]) -> f64 {
         let renders = rogs_splat::render_views(scene, cameras, &config()).unwrap();
         let all = |part: fn(&rogs_splat::Render) -> &[f32]| renders.iter().flat_map(move |r| part(r).iter());
         let dot = |weights: &[f32], values: &mut dyn Iterator<Item = &f32>| -> f64 {
@@ -397,7 +399,7 @@ fn what_does_not_fit_is_refused_with_a_reason() {
     let scene = scene(5, None, 0, 1);
     let device = Device::flex();
     let good = tensors(&scene, &device);
-    let message = |gaussians: &GaussianTensors, cameras: &[Camera], config: &RasterConfig| {
+    let message = |gaussians: &GaussianTensors, cameras: &[RasterCamera], config: &RasterConfig| {
         render_views(gaussians, cameras, None, config).unwrap_err().to_string()
     };
     let mut bad = good.clone();

@@ -1,26 +1,27 @@
 //! What the renders of a clip are compared with: images and stereo depth of source and right cameras, robot positions from
 //! forward kinematics, tracks, and the motion that Stage 1 renders.
 
-use rogs_schemas::RigidPose;
+use glam::{DVec3, Vec3};
+use rogs_geometry::{Base, Link, Pose, Recon};
 use rogs_schemas::records::clip::{CameraRole, Clip, time_of_frame};
 use rogs_schemas::records::field::{Field, TimeSlice};
 use rogs_schemas::records::robot::{NO_LINK, RobotMaps};
 use rogs_schemas::units::{UNITS_PER_METRE, iu_from_m};
-use rogs_splat::{Camera, RasterConfig, render};
+use rogs_splat::{RasterCamera, RasterConfig, render};
 use rogs_stage2::objective::ViewSide;
 use rogs_worker::{StageError, StageResult};
 
 use super::TrainingOptions;
 use super::chain::scene_at;
 use crate::refinement::internal;
-use crate::source_time::{composed, inverse};
+use crate::source_time::{bad_pose, raster_camera, recon_from_base};
 use crate::{ClipInputs, RefineParams};
 use rogs_field::Correction;
 
 /// A view that is rendered and compared.
 pub(super) struct TargetView {
     pub(super) side: ViewSide,
-    pub(super) camera: Camera,
+    pub(super) camera: RasterCamera,
     /// `[P, 3]`
     pub(super) rgb: Vec<f32>,
     /// Metres; 1 where it is not valid. `[P]`
@@ -50,7 +51,7 @@ pub(super) struct TargetTime<'a> {
 pub(super) struct MotionTarget<'a> {
     /// The field at the anchor time.
     pub(super) anchor: &'a TimeSlice,
-    pub(super) camera: Camera,
+    pub(super) camera: RasterCamera,
     /// Displacements of all Gaussians to every query time, internal units. `[N, 3 * times]`
     pub(super) displacement_iu: Vec<f32>,
     /// Channels of a rendered pixel: `3 * times`.
@@ -111,23 +112,6 @@ fn slice_at<'a>(clip: &Clip, field: &'a Field, frame: u32) -> StageResult<&'a Ti
     })
 }
 
-/// A camera of the clip at a frame, reconstruction frame, internal units.
-fn camera_at(clip: &Clip, robot: &RobotMaps, field: &Field, camera: usize, frame: u32) -> StageResult<Camera> {
-    let pose = robot.base_from_camera.get(camera * clip.frame_count() + frame as usize);
-    let pose = pose.ok_or_else(|| {
-        StageError::bad_input(format!(
-            "the robot maps have no pose of camera {camera} at frame {frame}"
-        ))
-    })?;
-    Ok(Camera::from_world_pose(
-        field.width,
-        field.height,
-        &clip.cameras[camera].intrinsics,
-        &composed(&field.recon_from_base, pose),
-        UNITS_PER_METRE,
-    ))
-}
-
 fn views(clip: &Clip, robot: &RobotMaps, field: &Field, frame: u32, right: bool) -> StageResult<Vec<TargetView>> {
     let pixels = (field.height * field.width) as usize;
     let mut views = Vec::new();
@@ -162,7 +146,7 @@ fn views(clip: &Clip, robot: &RobotMaps, field: &Field, frame: u32, right: bool)
         let depth_valid: Vec<f32> = valid.iter().map(|&valid| f32::from(u8::from(valid))).collect();
         views.push(TargetView {
             side,
-            camera: camera_at(clip, robot, field, index, frame)?,
+            camera: raster_camera(clip, robot, field, index, frame)?,
             rgb: rgb.iter().map(|&value| f32::from(value) / 255.0).collect(),
             covered: if stored.is_some() {
                 depth_valid.clone()
@@ -179,36 +163,33 @@ fn views(clip: &Clip, robot: &RobotMaps, field: &Field, frame: u32, right: bool)
 /// `T_l(t) T_l(s)^-1 p` of every mesh-anchored Gaussian, `s` being its own source time.
 fn robot_target(robot: &RobotMaps, field: &Field, frame: u32) -> StageResult<RobotTarget> {
     let (links, area) = (robot.link_names.len(), (field.height * field.width) as usize);
-    let base_from_recon = inverse(&field.recon_from_base);
-    let pose = |frame: u32, link: usize| {
-        robot.base_from_link.get(frame as usize * links + link).ok_or_else(|| {
+    let recon_from_base = recon_from_base(field)?;
+    let base_from_recon = recon_from_base.inverse();
+    let pose = |frame: u32, link: usize| -> StageResult<Pose<Base, Link>> {
+        let stored = robot.base_from_link.get(frame as usize * links + link).ok_or_else(|| {
             StageError::bad_input(format!("the robot maps have no pose of link {link} at frame {frame}"))
-        })
+        })?;
+        Pose::from_rigid(stored).map_err(bad_pose)
     };
     let (mut gaussians, mut reference_m) = (Vec::new(), Vec::new());
     for (view, source) in field.views.iter().enumerate() {
-        let mut motions: Vec<Option<RigidPose>> = vec![None; links];
+        let mut motions: Vec<Option<Pose<Recon, Recon>>> = vec![None; links];
         for index in view * area..(view + 1) * area {
             let link = field.link[index];
             if field.support[index] == 0 || link == NO_LINK || usize::from(link) >= links {
                 continue;
             }
             let link = usize::from(link);
-            let motion = match &motions[link] {
-                Some(motion) => *motion,
+            let motion = match motions[link] {
+                Some(motion) => motion,
                 None => {
-                    let moved = composed(pose(frame, link)?, &inverse(pose(source.frame, link)?));
-                    let motion = composed(&composed(&field.recon_from_base, &moved), &base_from_recon);
-                    motions[link] = Some(motion);
-                    motion
+                    let moved = pose(frame, link)? * pose(source.frame, link)?.inverse();
+                    *motions[link].insert(recon_from_base * moved * base_from_recon)
                 }
             };
-            let point = &field.position_m[3 * index..3 * index + 3];
+            let point = Vec3::from_slice(&field.position_m[3 * index..]).as_dvec3();
             gaussians.push(index as u32);
-            for row in 0..3 {
-                let moved: f64 = (0..3).map(|k| motion.rotation[3 * row + k] * f64::from(point[k])).sum();
-                reference_m.push((moved + motion.translation[row]) as f32);
-            }
+            reference_m.extend(motion.point(point).as_vec3().to_array());
         }
     }
     Ok(RobotTarget { gaussians, reference_m })
@@ -237,12 +218,12 @@ fn motion<'a>(inputs: &ClipInputs<'a>, params: &RefineParams, frames: &[u32]) ->
             }
         }
     }
-    let position = |track: usize, frame: u32| -> Option<[f64; 3]> {
+    let position = |track: usize, frame: u32| -> Option<DVec3> {
         let start = (track * clip.frame_count() + frame as usize) * 3;
-        let point = tracks.position_m.get(start..start + 3)?;
-        let point = [0, 1, 2].map(|axis| f64::from(point[axis]));
-        point.iter().all(|value| value.is_finite()).then_some(point)
+        let point = Vec3::from_slice(tracks.position_m.get(start..start + 3)?).as_dvec3();
+        point.is_finite().then_some(point)
     };
+    let recon_from_base = recon_from_base(field)?;
     let mut targets = Vec::new();
     for camera in clip.source_cameras() {
         let (mut samples, mut reference_iu) = (Vec::new(), Vec::new());
@@ -263,17 +244,14 @@ fn motion<'a>(inputs: &ClipInputs<'a>, params: &RefineParams, frames: &[u32]) ->
             {
                 let Some(to) = position(track, frame) else { continue };
                 samples.push((y as usize * width + x as usize) * channels + 3 * time);
-                let rotation = &field.recon_from_base.rotation;
-                for row in 0..3 {
-                    let moved: f64 = (0..3).map(|k| rotation[3 * row + k] * (to[k] - from[k])).sum();
-                    reference_iu.push((moved * UNITS_PER_METRE) as f32);
-                }
+                let moved_iu = recon_from_base.direction(to - from) * UNITS_PER_METRE;
+                reference_iu.extend(moved_iu.as_vec3().to_array());
             }
         }
         if samples.is_empty() {
             continue;
         }
-        let view = camera_at(clip, robot, field, camera as usize, tracks.anchor_frame)?;
+        let view = raster_camera(clip, robot, field, camera as usize, tracks.anchor_frame)?;
         let mut scene = scene_at(
             field,
             &Correction::zero(field.len()),

@@ -7,7 +7,9 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use glam::Vec3;
 use rogs_field::ply::read_ply_file;
+use rogs_geometry::{Base, Camera, Frame, Pose, Similarity};
 use rogs_schemas::RigidPose;
 use rogs_splat::Gaussians;
 use serde::{Deserialize, Serialize};
@@ -28,6 +30,14 @@ pub enum FieldFrame {
     Camera,
 }
 
+/// The frame of a field as the method left it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Left {}
+
+impl Frame for Left {
+    const NAME: &'static str = "field";
+}
+
 /// What a folder holds.
 #[derive(Debug)]
 enum Content {
@@ -44,8 +54,7 @@ struct Part {
     content: Content,
     /// Index of the source camera it was made from.
     camera: Option<u32>,
-    base_from_field: RigidPose,
-    scale: f64,
+    base_from_field: Similarity<Base, Left>,
 }
 
 /// A field that can be asked for clip frames.
@@ -64,25 +73,23 @@ impl OutsideField {
     /// When a file cannot be understood, or a folder holds more than one kind of field.
     pub fn read(
         folder: &Path,
-        cameras: &[(u32, &str, RigidPose)],
+        cameras: &[(u32, &str, Pose<Base, Camera>)],
         frame: FieldFrame,
         fps: f64,
     ) -> Result<Option<Self>, OutsideError> {
-        let pose = |camera: &RigidPose| match frame {
-            FieldFrame::Base => RigidPose::IDENTITY,
-            FieldFrame::Camera => *camera,
+        let pose = |camera: &Pose<Base, Camera>| match frame {
+            FieldFrame::Base => Pose::IDENTITY,
+            FieldFrame::Camera => camera.relabelled(),
         };
+        let unscaled = |rigid| Similarity { rigid, scale: 1.0 };
         let mut parts = Vec::new();
         if let Some((content, own)) = content(folder)? {
-            let first = cameras
-                .first()
-                .map_or(RigidPose::IDENTITY, |(_, _, camera)| pose(camera));
+            let first = cameras.first().map_or(Pose::IDENTITY, |(_, _, camera)| pose(camera));
             parts.push(Part {
                 folder: folder.to_owned(),
                 content,
                 camera: None,
-                base_from_field: own.unwrap_or(first),
-                scale: 1.0,
+                base_from_field: unscaled(own.unwrap_or(first)),
             });
         } else {
             for (index, id, camera) in cameras {
@@ -94,8 +101,7 @@ impl OutsideField {
                     folder,
                     content,
                     camera: Some(*index),
-                    base_from_field: own.unwrap_or_else(|| pose(camera)),
-                    scale: 1.0,
+                    base_from_field: unscaled(own.unwrap_or_else(|| pose(camera))),
                 });
             }
         }
@@ -111,7 +117,7 @@ impl OutsideField {
     /// Scales a part about the origin of its own frame, on top of what it has been scaled by before.
     pub fn scale(&mut self, part: usize, factor: f64) {
         if let Some(part) = self.parts.get_mut(part) {
-            part.scale *= factor;
+            part.base_from_field.scale *= factor;
         }
     }
 
@@ -134,7 +140,7 @@ impl OutsideField {
     pub fn part(&self, part: usize, frame: u32) -> Result<Gaussians, OutsideError> {
         let part = &self.parts[part];
         let (gaussians, _) = part.state(frame, self.fps)?;
-        Ok(transformed(&gaussians, &part.base_from_field, part.scale))
+        Ok(transformed(&gaussians, &part.base_from_field))
     }
 
     /// Displacement between two clip frames of every Gaussian that [`OutsideField::gaussians`] gives at `from`, base
@@ -148,13 +154,9 @@ impl OutsideField {
             let Some(own) = part.displacement(from, to, self.fps)? else {
                 return Ok(None);
             };
-            let r = &part.base_from_field.rotation;
-            all.extend(own.chunks_exact(3).flat_map(|d| -> [f32; 3] {
-                std::array::from_fn(|row| {
-                    let turned: f64 = (0..3).map(|k| r[3 * row + k] * part.scale * f64::from(d[k])).sum();
-                    turned as f32
-                })
-            }));
+            let linear = part.base_from_field.linear();
+            let turned = |d: &[f32]| (linear * Vec3::from_slice(d).as_dvec3()).as_vec3().to_array();
+            all.extend(own.chunks_exact(3).flat_map(turned));
         }
         Ok(Some(all))
     }
@@ -208,7 +210,7 @@ fn seconds(frame: u32, fps: f64) -> f32 {
 }
 
 /// The field in a folder and its own pose, where there is one.
-fn content(folder: &Path) -> Result<Option<(Content, Option<RigidPose>)>, OutsideError> {
+fn content(folder: &Path) -> Result<Option<(Content, Option<Pose<Base, Left>>)>, OutsideError> {
     let mut found = Vec::new();
     for name in ["gaussians", "4dgt", "som"] {
         for ending in ["npz", "safetensors"] {
@@ -271,21 +273,19 @@ fn ply_files(folder: &Path) -> Result<BTreeMap<u32, PathBuf>, OutsideError> {
 }
 
 /// The array `base_from_field`: a rigid transform as a 4x4 (or 3x4) matrix, metres.
-fn own_pose(file: &ArrayFile) -> Result<Option<RigidPose>, OutsideError> {
+fn own_pose(file: &ArrayFile) -> Result<Option<Pose<Base, Left>>, OutsideError> {
     let Some(array) = file.find(&["base_from_field"])? else {
         return Ok(None);
     };
     array.expect_shape(file.path(), &[&[4, 4], &[3, 4]])?;
     let m: Vec<f64> = array.into_floats().into_iter().map(f64::from).collect();
-    let columns = [0, 1, 2].map(|k| glam::DVec3::new(m[k], m[4 + k], m[8 + k]));
-    let matrix = glam::DMat3::from_cols(columns[0], columns[1], columns[2]);
-    let error = (matrix.transpose() * matrix - glam::DMat3::IDENTITY).to_cols_array();
-    if !error.iter().all(|value| value.abs() < 1e-3) || matrix.determinant() < 0.0 {
-        let what = "`base_from_field` is no rigid transform (rotation of determinant +1, translation in metres)";
-        return Err(OutsideError::file(file.path(), what));
-    }
-    Ok(Some(RigidPose {
+    let stored = RigidPose {
         rotation: [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]],
         translation: [m[3], m[7], m[11]],
-    }))
+    };
+    let pose = Pose::from_rigid(&stored).map_err(|_| {
+        let what = "`base_from_field` is no rigid transform (rotation of determinant +1, translation in metres)";
+        OutsideError::file(file.path(), what)
+    })?;
+    Ok(Some(pose))
 }

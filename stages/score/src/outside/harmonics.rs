@@ -1,6 +1,6 @@
 //! Turning spherical harmonics with their field.
 
-use rogs_schemas::RigidPose;
+use glam::{DMat3, DVec3};
 use rogs_splat::sh::{MAX_COEFFICIENTS, basis, coefficient_count};
 
 /// Nodes and weights of the four-point Gauss-Legendre rule: exact for polynomials up to degree 7.
@@ -23,17 +23,16 @@ pub(crate) struct Turn {
 }
 
 impl Turn {
-    /// For harmonics up to `degree` and the rotation of `a_from_b`.
-    pub(crate) fn new(degree: usize, a_from_b: &RigidPose) -> Self {
+    /// For harmonics up to `degree` and the rotation R of `a_from_b`.
+    pub(crate) fn new(degree: usize, rotation: &DMat3) -> Self {
         let mut matrix = [[0.0; MAX_COEFFICIENTS]; MAX_COEFFICIENTS];
-        let r = &a_from_b.rotation;
         for (z, weight) in NODES {
             let radius = (1.0 - z * z).sqrt();
             for step in 0..AROUND {
                 let angle = std::f64::consts::TAU * step as f64 / AROUND as f64;
-                let b = [radius * libm::cos(angle), radius * libm::sin(angle), z];
-                let a: [f64; 3] = std::array::from_fn(|row| (0..3).map(|k| r[3 * row + k] * b[k]).sum());
-                let (of_a, of_b) = (basis(degree, a.map(|v| v as f32)), basis(degree, b.map(|v| v as f32)));
+                let b = DVec3::new(radius * libm::cos(angle), radius * libm::sin(angle), z);
+                let at = |direction: DVec3| basis(degree, direction.as_vec3().to_array());
+                let (of_a, of_b) = (at(*rotation * b), at(b));
                 let share = weight * std::f64::consts::TAU / AROUND as f64;
                 for (row, a) in matrix.iter_mut().zip(of_a) {
                     for (entry, b) in row.iter_mut().zip(of_b) {
@@ -66,20 +65,15 @@ mod tests {
     #[test]
     fn a_turned_function_has_the_value_of_the_direction_it_came_from() {
         // A rotation by 1 radian about (1, 2, 2) / 3.
-        let q = glam::DQuat::from_axis_angle(glam::DVec3::new(1.0, 2.0, 2.0) / 3.0, 1.0);
-        let m = glam::DMat3::from_quat(q).transpose().to_cols_array();
-        let pose = RigidPose {
-            rotation: m,
-            translation: [0.0; 3],
-        };
+        let rotation = rogs_geometry::rotation_about_axis(DVec3::new(1.0, 2.0, 2.0) / 3.0, 1.0);
         for degree in 0..=3 {
             let count = coefficient_count(degree);
             let own: Vec<f32> = (0..count * 3).map(|k| ((k * 7 % 11) as f32 - 5.0) / 10.0).collect();
-            let turned: Vec<f32> = Turn::new(degree, &pose).apply(&own).collect();
-            for b in [[0.6f64, 0.0, 0.8], [-0.48, 0.6, 0.64], [0.0, -1.0, 0.0]] {
-                let a: [f64; 3] = std::array::from_fn(|row| (0..3).map(|k| m[3 * row + k] * b[k]).sum());
-                let value = |coefficients: &[f32], direction: [f64; 3]| -> f32 {
-                    let y = basis(degree, direction.map(|v| v as f32));
+            let turned: Vec<f32> = Turn::new(degree, &rotation).apply(&own).collect();
+            for b in [[0.6, 0.0, 0.8], [-0.48, 0.6, 0.64], [0.0, -1.0, 0.0]].map(DVec3::from_array) {
+                let a = rotation * b;
+                let value = |coefficients: &[f32], direction: DVec3| -> f32 {
+                    let y = basis(degree, direction.as_vec3().to_array());
                     (0..count).map(|k| y[k] * coefficients[3 * k]).sum()
                 };
                 assert!((value(&own, b) - value(&turned, a)).abs() < 2e-6, "degree {degree}");

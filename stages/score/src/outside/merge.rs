@@ -1,12 +1,12 @@
 //! Calibrated merging of camera-wise fields (paper, appendix on baselines).
 
-use rogs_schemas::RigidPose;
+use glam::Vec3;
+use rogs_geometry::{Frame, Similarity, quaternion_product, wxyz_f32};
 use rogs_splat::sh::{coefficient_count, coefficient_from_colour};
 use rogs_splat::{Colour, Gaussians};
 
 use crate::metrics::median;
 use crate::outside::harmonics::Turn;
-use crate::outside::{quaternion_of, quaternion_product};
 
 /// The scale factor of a camera's field: median over all valid pixels of all given images of reference over predicted
 /// depth. `None` when no pixel is valid. Each entry is prediction, reference, support of one image. `[H, W]` each
@@ -28,17 +28,14 @@ pub fn stereo_scale(images: &[(&[f32], &[f32], &[bool])]) -> Option<f64> {
 /// Gaussians scaled about the origin of their frame `b` and brought to frame `a`, spherical harmonics turned with them.
 /// Extra channels are dropped, for their meaning is unknown.
 #[must_use]
-pub fn transformed(gaussians: &Gaussians, a_from_b: &RigidPose, scale: f64) -> Gaussians {
-    let RigidPose {
-        rotation: r,
-        translation: t,
-    } = a_from_b;
-    let turn = quaternion_of([[r[0], r[3], r[6]], [r[1], r[4], r[7]], [r[2], r[5], r[8]]]);
-    let point = |p: &[f32]| -> [f32; 3] {
-        std::array::from_fn(|row| {
-            let turned: f64 = (0..3).map(|k| r[3 * row + k] * scale * f64::from(p[k])).sum();
-            (turned + t[row]) as f32
-        })
+pub fn transformed<A: Frame, B: Frame>(gaussians: &Gaussians, a_from_b: &Similarity<A, B>) -> Gaussians {
+    let Similarity { rigid, scale } = *a_from_b;
+    let turn = wxyz_f32(rigid.quaternion());
+    let linear = a_from_b.linear();
+    let point = |p: &[f32]| {
+        (linear * Vec3::from_slice(p).as_dvec3() + rigid.translation)
+            .as_vec3()
+            .to_array()
     };
     Gaussians {
         means: gaussians.means.chunks_exact(3).flat_map(point).collect(),
@@ -54,7 +51,7 @@ pub fn transformed(gaussians: &Gaussians, a_from_b: &RigidPose, scale: f64) -> G
         colour: match &gaussians.colour {
             Colour::Rgb(rgb) => Colour::Rgb(rgb.clone()),
             Colour::Sh { degree, coefficients } => {
-                let turn = Turn::new(*degree, a_from_b);
+                let turn = Turn::new(*degree, &rigid.rotation);
                 let rows = coefficients.chunks_exact(3 * coefficient_count(*degree));
                 Colour::Sh {
                     degree: *degree,

@@ -87,21 +87,3 @@ fn expect(array: &'static str, found: usize, expected: usize) -> Result<(), Outs
         Err(OutsideError::Length { array, found, expected })
     }
 }
-
-/// Hamilton product of quaternions (w, x, y, z).
-fn quaternion_product(a: [f32; 4], b: [f32; 4]) -> [f32; 4] {
-    [
-        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-    ]
-}
-
-/// The unit quaternion (w, x, y, z) of a rotation matrix given by its columns, w not negative.
-fn quaternion_of(columns: [[f64; 3]; 3]) -> [f32; 4] {
-    let [x, y, z] = columns.map(glam::DVec3::from_array);
-    let q = glam::DQuat::from_mat3(&glam::DMat3::from_cols(x, y, z)).normalize();
-    let q = if q.w < 0.0 { -q } else { q };
-    [q.w as f32, q.x as f32, q.y as f32, q.z as f32]
-}

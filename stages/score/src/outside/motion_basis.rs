@@ -1,9 +1,11 @@
 //! Gaussians moved by shared rigid motions: the fields of Shape of Motion (`docs/spec/baseline-som.md` section 5).
 
+use glam::{DMat3, DVec3, Vec3};
+use rogs_geometry::{quaternion, quaternion_product, wxyz_f32};
 use rogs_splat::{Colour, Gaussians};
 
 use crate::outside::arrays::{Array, ArrayFile};
-use crate::outside::{OutsideError, expect, quaternion_of, quaternion_product};
+use crate::outside::{OutsideError, expect};
 
 /// Raw parameters as the checkpoint has them.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -142,13 +144,11 @@ impl MotionBasisField {
             let mean: [f32; 3] = std::array::from_fn(|axis| parts.means[index * 3 + axis]);
             let quat = normalised([0, 1, 2, 3].map(|part| parts.quats[index * 4 + part]));
             if index < self.foreground() {
-                let (columns, translation) = self.motion(index, frame);
-                out.means.extend((0..3).map(|axis| {
-                    let turned: f64 = (0..3).map(|k| columns[k][axis] * f64::from(mean[k])).sum();
-                    (turned + translation[axis]) as f32
-                }));
-                out.quats
-                    .extend(normalised(quaternion_product(quaternion_of(columns), quat)));
+                let (rotation, translation) = self.motion(index, frame);
+                let moved = rotation * Vec3::from(mean).as_dvec3() + translation;
+                out.means.extend(moved.as_vec3().to_array());
+                let turn = wxyz_f32(quaternion(&rotation));
+                out.quats.extend(normalised(quaternion_product(turn, quat)));
             } else {
                 out.means.extend(mean);
                 out.quats.extend(quat);
@@ -169,9 +169,9 @@ impl MotionBasisField {
         Ok(to.means.iter().zip(&from.means).map(|(to, from)| to - from).collect())
     }
 
-    /// The rigid motion of a foreground Gaussian: rotation columns and translation. The six numbers are mixed before they
+    /// The rigid motion of a foreground Gaussian: rotation and translation. The six numbers are mixed before they
     /// are made orthonormal.
-    fn motion(&self, index: usize, frame: usize) -> ([[f64; 3]; 3], [f64; 3]) {
+    fn motion(&self, index: usize, frame: usize) -> (DMat3, DVec3) {
         let parts = &self.parts;
         let weights = &self.weights[index * parts.bases..(index + 1) * parts.bases];
         let mixed = |values: &[f32], width: usize, at: usize| -> f64 {
@@ -183,11 +183,11 @@ impl MotionBasisField {
                 .sum()
         };
         let six: [f64; 6] = std::array::from_fn(|at| mixed(&parts.rotations, 6, at));
-        let x = glam::DVec3::new(six[0], six[1], six[2]).normalize_or_zero();
-        let second = glam::DVec3::new(six[3], six[4], six[5]);
+        let x = DVec3::new(six[0], six[1], six[2]).normalize_or_zero();
+        let second = DVec3::new(six[3], six[4], six[5]);
         let y = (second - x * second.dot(x)).normalize_or_zero();
-        let columns = [x, y, x.cross(y)].map(|column| column.to_array());
-        (columns, std::array::from_fn(|at| mixed(&parts.translations, 3, at)))
+        let translation = std::array::from_fn(|at| mixed(&parts.translations, 3, at));
+        (DMat3::from_cols(x, y, x.cross(y)), DVec3::from_array(translation))
     }
 }
 

@@ -8,6 +8,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use rogs_geometry::{Base, Camera, Pose};
 use rogs_schemas::key::{KeyMaterial, Provenance};
 use rogs_schemas::protocol::Job;
 use rogs_schemas::record::Record;
@@ -134,16 +135,8 @@ pub(crate) fn robot() -> RobotMaps {
 
 /// The inverse of the wrist pose.
 pub(crate) fn recon_from_base() -> RigidPose {
-    let RigidPose {
-        rotation: r,
-        translation: t,
-    } = LOOKING_ALONG_X;
-    let rotation = [r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]];
-    let row = |k: usize| -(rotation[3 * k] * t[0] + rotation[3 * k + 1] * t[1] + rotation[3 * k + 2] * t[2]);
-    RigidPose {
-        rotation,
-        translation: [row(0), row(1), row(2)],
-    }
+    let base_from_camera: Pose<Base, Camera> = Pose::from_rigid(&LOOKING_ALONG_X).unwrap();
+    base_from_camera.inverse().to_rigid()
 }
 
 pub(crate) fn weights() -> WeightsInfo {

@@ -2,14 +2,16 @@
 
 use std::sync::OnceLock;
 
-use glam::{Affine3A, DAffine3, Vec3, Vec3A};
+use glam::{Affine3A, Vec3, Vec3A};
+use rogs_geometry::{Base, Camera, Pose};
 use rogs_schemas::Intrinsics;
 
 use super::raster::NOBODY;
 use super::seen::Seen;
 use super::shadow::LightMap;
 use super::texture::mix;
-use crate::math::rigid_inverse;
+use crate::frame::BodyFrame;
+use crate::math::single;
 use crate::scene::{Body, Lights};
 
 /// What a body needs to be shaded in its own frame.
@@ -23,12 +25,16 @@ pub(super) struct BodyView {
 }
 
 impl BodyView {
-    pub(super) fn new(base_from_body: &DAffine3, base_from_camera: &DAffine3, lights: &Lights) -> Self {
-        let body_from_base = rigid_inverse(base_from_body);
-        let turn = |v: Vec3| (body_from_base.matrix3 * v.as_dvec3()).as_vec3();
+    pub(super) fn new(
+        base_from_body: &Pose<Base, BodyFrame>,
+        base_from_camera: &Pose<Base, Camera>,
+        lights: &Lights,
+    ) -> Self {
+        let body_from_base = base_from_body.inverse();
+        let turn = |v: Vec3| body_from_base.direction(v.as_dvec3()).as_vec3();
         let body_from_camera = body_from_base * *base_from_camera;
         Self {
-            body_from_camera: body_from_camera.as_affine3a(),
+            body_from_camera: single(&body_from_camera),
             camera: body_from_camera.translation.as_vec3(),
             key: turn(lights.towards_key),
             fill: turn(lights.towards_fill),

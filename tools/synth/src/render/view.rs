@@ -2,15 +2,17 @@
 
 use std::cell::RefCell;
 
-use glam::{DAffine3, DVec2, DVec3, Vec3, Vec3A};
+use glam::{DVec2, DVec3, Vec3, Vec3A};
 use rayon::prelude::*;
+use rogs_geometry::{Base, Camera, Pose};
 use rogs_schemas::Intrinsics;
 
 use super::raster::{Layer, NOBODY, Polygon};
 use super::seen::Seen;
 use super::shade::{BodyView, Sensor, Shader};
 use super::shadow::LightMap;
-use crate::math::rigid_inverse;
+use crate::frame::BodyFrame;
+use crate::math::single;
 use crate::scene::{Body, Lights};
 
 /// Nearest depth that is drawn, metres.
@@ -32,7 +34,7 @@ const OFFSETS: [[f64; 2]; 5] = [
 pub(crate) struct LitScene<'a> {
     pub bodies: &'a [Body],
     /// Body-to-base, one a body.
-    pub poses: &'a [DAffine3],
+    pub poses: &'a [Pose<Base, BodyFrame>],
     pub lights: &'a Lights,
     key: LightMap,
     sky: LightMap,
@@ -40,12 +42,12 @@ pub(crate) struct LitScene<'a> {
 
 impl<'a> LitScene<'a> {
     /// Draws the maps of the lights.
-    pub(crate) fn new(bodies: &'a [Body], poses: &'a [DAffine3], lights: &'a Lights) -> Self {
+    pub(crate) fn new(bodies: &'a [Body], poses: &'a [Pose<Base, BodyFrame>], lights: &'a Lights) -> Self {
         let draw = |(towards, size): (Vec3, usize)| {
             let mut map = LightMap::new(towards, size);
             let mut corners = Vec::new();
             for (body, pose) in bodies.iter().zip(poses).filter(|(body, _)| body.shadow) {
-                let map_from_body = map.map_from_base * pose.as_affine3a();
+                let map_from_body = map.map_from_base * single(pose);
                 let mesh = body.mesh.mesh();
                 corners.clear();
                 corners.extend(
@@ -99,14 +101,14 @@ thread_local! {
 /// Draws one camera. `noise_key` seeds the sensor noise of this image.
 pub(crate) fn render_view(
     scene: &LitScene<'_>,
-    base_from_camera: &DAffine3,
+    base_from_camera: &Pose<Base, Camera>,
     intrinsics: &Intrinsics,
     [height, width]: [usize; 2],
     sensor: &Sensor,
     noise_key: u32,
 ) -> View {
     SCRATCH.with_borrow_mut(|scratch| {
-        let camera_from_base = rigid_inverse(base_from_camera);
+        let camera_from_base = base_from_camera.inverse();
         for (layer, offset) in scratch.layers.iter_mut().zip(OFFSETS) {
             layer.reset(width, height, offset, 0.0);
         }
@@ -128,7 +130,7 @@ pub(crate) fn render_view(
             lights: scene.lights,
             key: &scene.key,
             sky: &scene.sky,
-            base_from_camera: base_from_camera.as_affine3a(),
+            base_from_camera: single(base_from_camera),
             intrinsics: *intrinsics,
             size: [height, width],
         };
@@ -144,8 +146,13 @@ pub(crate) fn render_view(
 }
 
 /// Whether a sphere may be in the picture.
-fn in_sight(camera_from_body: &DAffine3, sphere: (Vec3, f32), k: &Intrinsics, [height, width]: [usize; 2]) -> bool {
-    let centre = camera_from_body.transform_point3(sphere.0.as_dvec3());
+fn in_sight(
+    camera_from_body: &Pose<Camera, BodyFrame>,
+    sphere: (Vec3, f32),
+    k: &Intrinsics,
+    [height, width]: [usize; 2],
+) -> bool {
+    let centre = camera_from_body.point(sphere.0.as_dvec3());
     let radius = f64::from(sphere.1) * 1.0001 + 1e-6;
     if centre.z < -radius {
         return false;
@@ -158,15 +165,17 @@ fn in_sight(camera_from_body: &DAffine3, sphere: (Vec3, f32), k: &Intrinsics, [h
         && side(DVec3::new(0.0, -k.fy, height as f64 - k.cy))
 }
 
-fn draw_body(scratch: &mut Scratch, index: usize, body: &Body, camera_from_body: &DAffine3, k: &Intrinsics) {
+fn draw_body(
+    scratch: &mut Scratch,
+    index: usize,
+    body: &Body,
+    camera_from_body: &Pose<Camera, BodyFrame>,
+    k: &Intrinsics,
+) {
     let mesh = body.mesh.mesh();
     let Scratch { layers, seen, corners } = scratch;
     corners.clear();
-    corners.extend(
-        mesh.positions
-            .iter()
-            .map(|p| camera_from_body.transform_point3(p.as_dvec3())),
-    );
+    corners.extend(mesh.positions.iter().map(|p| camera_from_body.point(p.as_dvec3())));
     for (face, triangle) in mesh.triangles.iter().enumerate() {
         let [a, b, c] = triangle.map(|v| corners[v as usize]);
         let normal = (b - a).cross(c - a);

@@ -1,8 +1,10 @@
 //! Inverse kinematics by damped least squares.
 
-use glam::{DAffine3, DVec3};
+use glam::DVec3;
+use rogs_geometry::{Base, Pose};
 
 use super::{ARM_JOINTS, ARM_LIMITS, HOME, Robot};
+use crate::frame::BodyFrame;
 use crate::math::rotation_vector;
 
 const MAX_STEPS: usize = 120;
@@ -12,12 +14,16 @@ const RADIAN: f64 = 0.25;
 
 /// Joint positions that bring the flange to `target`, started at `start`; `None` when 0.1 mm and 0.5 mrad are not
 /// reached inside the joint limits. Slack in the elbow is pulled towards the home posture.
-pub(crate) fn solve_tool(robot: &Robot, target: &DAffine3, start: [f64; ARM_JOINTS]) -> Option<[f64; ARM_JOINTS]> {
+pub(crate) fn solve_tool(
+    robot: &Robot,
+    target: &Pose<Base, BodyFrame>,
+    start: [f64; ARM_JOINTS],
+) -> Option<[f64; ARM_JOINTS]> {
     let mut joints = start;
     for _ in 0..MAX_STEPS {
         let (flange, jacobian) = jacobian(robot, &joints);
         let shift = target.translation - flange.translation;
-        let turn = rotation_vector(&(target.matrix3 * flange.matrix3.transpose()));
+        let turn = rotation_vector(&(target.rotation * flange.rotation.transpose()));
         if shift.length() < 1e-5 && turn.length() < 5e-5 {
             return within_limits(&joints).then_some(joints);
         }
@@ -31,7 +37,7 @@ pub(crate) fn solve_tool(robot: &Robot, target: &DAffine3, start: [f64; ARM_JOIN
     }
     let flange = robot.flange(&joints);
     let shift = (target.translation - flange.translation).length();
-    let turn = rotation_vector(&(target.matrix3 * flange.matrix3.transpose())).length();
+    let turn = rotation_vector(&(target.rotation * flange.rotation.transpose())).length();
     (shift < 1e-4 && turn < 5e-4 && within_limits(&joints)).then_some(joints)
 }
 
@@ -43,12 +49,12 @@ fn within_limits(joints: &[f64; ARM_JOINTS]) -> bool {
 }
 
 /// Flange pose and the six rows of its Jacobian (linear, then angular times [`RADIAN`]).
-fn jacobian(robot: &Robot, joints: &[f64; ARM_JOINTS]) -> (DAffine3, [[f64; ARM_JOINTS]; 6]) {
+fn jacobian(robot: &Robot, joints: &[f64; ARM_JOINTS]) -> (Pose<Base, BodyFrame>, [[f64; ARM_JOINTS]; 6]) {
     let poses = robot.arm(joints);
     let flange = poses[super::FLANGE_LINK];
     let mut rows = [[0.0; ARM_JOINTS]; 6];
     for joint in 0..ARM_JOINTS {
-        let axis = poses[joint + 1].matrix3.z_axis;
+        let axis = poses[joint + 1].rotation.z_axis;
         let linear: DVec3 = axis.cross(flange.translation - poses[joint + 1].translation);
         for k in 0..3 {
             rows[k][joint] = linear[k];
@@ -106,7 +112,7 @@ fn solve(mut system: [[f64; 7]; 6]) -> [f64; 6] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::{rigid, rot_x, rot_z};
+    use crate::math::{rot_x, rot_z};
 
     #[test]
     fn targets_over_the_table_are_reached() {
@@ -114,13 +120,13 @@ mod tests {
         let mut joints = HOME;
         for (x, y, yaw) in [(0.5, 0.1, 0.3), (0.6, -0.25, -0.5), (0.4, 0.25, 0.8)] {
             let down = rot_z(yaw) * rot_x(std::f64::consts::PI);
-            let target = rigid(down, DVec3::new(x, y, 0.25));
+            let target = Pose::new(down, DVec3::new(x, y, 0.25));
             joints = solve_tool(&robot, &target, joints).unwrap();
             let reached = robot.flange(&joints);
             assert!((reached.translation - target.translation).length() < 1e-4);
-            assert!(rotation_vector(&(target.matrix3 * reached.matrix3.transpose())).length() < 5e-4);
+            assert!(rotation_vector(&(target.rotation * reached.rotation.transpose())).length() < 5e-4);
         }
-        let far = rigid(rot_x(std::f64::consts::PI), DVec3::new(1.5, 0.0, 0.3));
+        let far = Pose::new(rot_x(std::f64::consts::PI), DVec3::new(1.5, 0.0, 0.3));
         assert!(solve_tool(&robot, &far, HOME).is_none());
     }
 }

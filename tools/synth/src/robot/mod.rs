@@ -6,10 +6,12 @@ mod shapes;
 
 use std::sync::Arc;
 
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DMat3, DVec3};
+use rogs_geometry::{Base, Pose};
 use rogs_schemas::records::robot::RobotSpec;
 
-use crate::math::{rigid, rot_axis, rot_rpy};
+use crate::frame::BodyFrame;
+use crate::math::{rot_axis, rot_rpy};
 use crate::mesh::TriMesh;
 
 pub use export::{ROBOT_SPEC_FILE, ROBOT_URDF_FILE, write_robot};
@@ -289,13 +291,13 @@ impl Robot {
 
     /// Link-to-base poses of all links.
     #[must_use]
-    pub fn fk(&self, state: &RobotState) -> Vec<DAffine3> {
+    pub fn fk(&self, state: &RobotState) -> Vec<Pose<Base, BodyFrame>> {
         Self::poses(&self.links, state)
     }
 
     /// Link-to-base poses of the links up to the flange.
     #[must_use]
-    pub(crate) fn arm(&self, joints: &[f64; ARM_JOINTS]) -> Vec<DAffine3> {
+    pub(crate) fn arm(&self, joints: &[f64; ARM_JOINTS]) -> Vec<Pose<Base, BodyFrame>> {
         let state = RobotState {
             joints: *joints,
             gripper: 0.0,
@@ -304,24 +306,27 @@ impl Robot {
     }
 
     /// Link-to-base poses of the first links.
-    fn poses(links: &[Link], state: &RobotState) -> Vec<DAffine3> {
+    fn poses(links: &[Link], state: &RobotState) -> Vec<Pose<Base, BodyFrame>> {
         let finger = FINGER_CLOSED * state.gripper;
-        let mut poses: Vec<DAffine3> = Vec::with_capacity(links.len());
+        let mut poses: Vec<Pose<Base, BodyFrame>> = Vec::with_capacity(links.len());
         for (index, link) in links.iter().enumerate() {
             let angle = match link.motion {
                 Motion::Fixed => 0.0,
                 Motion::Arm(joint) => state.joints[joint],
                 Motion::Finger(multiplier) => multiplier * finger,
             };
-            let local = rigid(link.turn * rot_axis(link.axis, angle), link.xyz);
-            poses.push(if index == 0 { local } else { poses[link.parent] * local });
+            let turn = link.turn * rot_axis(link.axis, angle);
+            poses.push(match index {
+                0 => Pose::new(turn, link.xyz),
+                _ => poses[link.parent] * Pose::new(turn, link.xyz),
+            });
         }
         poses
     }
 
     /// Flange-to-base pose only.
     #[must_use]
-    pub(crate) fn flange(&self, joints: &[f64; ARM_JOINTS]) -> DAffine3 {
+    pub(crate) fn flange(&self, joints: &[f64; ARM_JOINTS]) -> Pose<Base, BodyFrame> {
         self.arm(joints)[FLANGE_LINK]
     }
 
@@ -379,9 +384,9 @@ mod tests {
         let robot = Robot::new();
         for gripper in [0.0, 0.3, 1.0] {
             let poses = robot.fk(&RobotState { joints: HOME, gripper });
-            let base = crate::math::rigid_inverse(&poses[GRIPPER_LINK]);
+            let base = poses[GRIPPER_LINK].inverse();
             let (left, right) = (base * poses[11], base * poses[14]);
-            assert!((left.matrix3.z_axis - DVec3::Z).length() < 1e-12);
+            assert!((left.rotation.z_axis - DVec3::Z).length() < 1e-12);
             let gap = left.translation.y - right.translation.y - 2.0 * PAD_OFFSET;
             assert!((gap - pad_gap(gripper)).abs() < 1e-12);
         }
@@ -390,8 +395,8 @@ mod tests {
     #[test]
     fn home_points_the_tool_down_with_the_camera_side_towards_the_base() {
         let flange = Robot::new().flange(&HOME);
-        assert!((flange.matrix3.z_axis + DVec3::Z).length() < 1e-9);
-        assert!((flange.matrix3.x_axis - DVec3::X).length() < 1e-9);
+        assert!((flange.rotation.z_axis + DVec3::Z).length() < 1e-9);
+        assert!((flange.rotation.x_axis - DVec3::X).length() < 1e-9);
         assert!(flange.translation.x > 0.3);
     }
 }

@@ -2,10 +2,11 @@
 //!
 //! Materials: 0 light shell, 1 dark seams and caps, 2 metal, 3 gripper black, 4 pads, 5 accent.
 
-use glam::{DAffine3, DVec3};
+use glam::DVec3;
+use rogs_geometry::Pose;
 
 use super::{KNUCKLE_LEAN, KNUCKLE_LENGTH, PAD_OFFSET};
-use crate::math::{rigid, rot_axis, rot_x, rot_y};
+use crate::math::{rot_axis, rot_x, rot_y};
 use crate::mesh::{Section, TriMesh};
 
 const SHELL: u8 = 0;
@@ -104,13 +105,13 @@ fn shoulder() -> TriMesh {
         ],
         SHELL,
     );
-    let drum = joint_drum(0.064, 0.062, SHELL).placed(rigid(rot_x(HALF_TURN), DVec3::ZERO));
+    let drum = joint_drum(0.064, 0.062, SHELL).placed(Pose::new(rot_x(HALF_TURN), DVec3::ZERO));
     union([column, drum])
 }
 
 fn upper_arm() -> TriMesh {
     // Arm along -y of this link; lofts run along their own z.
-    let along = rigid(rot_x(HALF_TURN), DVec3::ZERO);
+    let along = Pose::new(rot_x(HALF_TURN), DVec3::ZERO);
     let cheeks = joint_drum(0.058, 0.100, SHELL);
     let arm = loft(
         &[
@@ -137,7 +138,7 @@ fn elbow() -> TriMesh {
         ],
         SHELL,
     );
-    let drum = joint_drum(0.061, 0.064, SHELL).placed(rigid(rot_x(HALF_TURN), DVec3::new(0.0825, 0.0, 0.0)));
+    let drum = joint_drum(0.061, 0.064, SHELL).placed(Pose::new(rot_x(HALF_TURN), DVec3::new(0.0825, 0.0, 0.0)));
     union([sleeve, drum, seam_ring(0.056, -0.127)])
 }
 
@@ -152,7 +153,7 @@ fn lower_elbow() -> TriMesh {
         ],
         SHELL,
     )
-    .placed(rigid(rot_x(-HALF_TURN), DVec3::ZERO));
+    .placed(Pose::new(rot_x(-HALF_TURN), DVec3::ZERO));
     union([cheeks, neck])
 }
 
@@ -170,7 +171,7 @@ fn forearm() -> TriMesh {
         ],
         SHELL,
     );
-    let axle = TriMesh::cylinder(0.043, 0.062, AROUND).placed(rigid(rot_x(HALF_TURN), DVec3::new(0.0, 0.008, 0.0)));
+    let axle = TriMesh::cylinder(0.043, 0.062, AROUND).placed(Pose::new(rot_x(HALF_TURN), DVec3::new(0.0, 0.008, 0.0)));
     union([sleeve, axle.of(SHELL), seam_ring(0.056, -0.291)])
 }
 
@@ -186,12 +187,12 @@ fn wrist() -> TriMesh {
         ],
         SHELL,
     )
-    .placed(rigid(rot_y(HALF_TURN), DVec3::ZERO));
+    .placed(Pose::new(rot_y(HALF_TURN), DVec3::ZERO));
     let cup = TriMesh::lathe(
         &[[0.038, -0.046], [0.049, -0.036], [0.049, 0.030], [0.044, 0.040]],
         AROUND,
     )
-    .placed(rigid(rot_x(HALF_TURN), DVec3::new(0.088, 0.0, 0.0)));
+    .placed(Pose::new(rot_x(HALF_TURN), DVec3::new(0.088, 0.0, 0.0)));
     union([drum, bridge, cup.of(SHELL)])
 }
 
@@ -202,10 +203,10 @@ fn hand() -> TriMesh {
     )
     .of(SHELL);
     let mount = TriMesh::chamfered([0.036, 0.036, 0.016], 0.008)
-        .placed(rigid(rot_axis(DVec3::Z, 0.785), DVec3::new(0.030, 0.030, 0.066)))
+        .placed(Pose::new(rot_axis(DVec3::Z, 0.785), DVec3::new(0.030, 0.030, 0.066)))
         .of(SHELL);
     let button = TriMesh::cylinder(0.009, 0.004, 10)
-        .placed(rigid(rot_x(HALF_TURN), DVec3::new(0.0, -0.046, 0.060)))
+        .placed(Pose::new(rot_x(HALF_TURN), DVec3::new(0.0, -0.046, 0.060)))
         .of(ACCENT);
     union([
         barrel,
@@ -242,11 +243,14 @@ fn gripper_base() -> TriMesh {
 /// A bar from the origin along the open lean towards +y (side 1) or -y (side -1).
 fn leaning(half: [f64; 3], shift: f64, side: f64) -> TriMesh {
     let turn = rot_axis(DVec3::X, -side * KNUCKLE_LEAN);
-    TriMesh::chamfered(half, 0.003).placed(rigid(turn, turn * DVec3::new(0.0, shift * side, 0.5 * KNUCKLE_LENGTH)))
+    TriMesh::chamfered(half, 0.003).placed(Pose::new(
+        turn,
+        turn * DVec3::new(0.0, shift * side, 0.5 * KNUCKLE_LENGTH),
+    ))
 }
 
 fn pin(y: f64, z: f64) -> TriMesh {
-    let pose = DAffine3::from_mat3_translation(rot_y(HALF_TURN), DVec3::new(0.0, y, z));
+    let pose = Pose::new(rot_y(HALF_TURN), DVec3::new(0.0, y, z));
     TriMesh::cylinder(0.0062, 0.0155, 10).placed(pose).of(METAL)
 }
 
@@ -287,7 +291,7 @@ fn camera_body() -> TriMesh {
         .at(0.0315, 0.0, -0.032)
         .of(BLACK);
     let lens = |x: f64| TriMesh::cylinder(0.0075, 0.002, 12).at(x, 0.0, -0.0185).of(SEAM);
-    let body = union([body, lens(0.0), lens(0.063)]).placed(camera);
+    let body = union([body, lens(0.0), lens(0.063)]).placed(camera.relabelled());
     let bracket = TriMesh::chamfered([0.018, 0.016, 0.0025], 0.001)
         .at(-0.048, 0.0, -0.0165)
         .of(METAL);
@@ -315,9 +319,9 @@ mod tests {
     #[test]
     fn nothing_on_the_flange_reaches_the_wrist_camera() {
         let camera = crate::cameras::nominal_hand_eye();
-        let inverse = crate::math::rigid_inverse(&camera);
+        let inverse = camera.inverse();
         for vertex in &camera_body().positions {
-            assert!(inverse.transform_point3(vertex.as_dvec3()).z < -0.013);
+            assert!(inverse.point(vertex.as_dvec3()).z < -0.013);
         }
     }
 }

@@ -5,8 +5,10 @@ mod room;
 
 use std::sync::Arc;
 
-use glam::{DAffine3, Vec3};
+use glam::Vec3;
+use rogs_geometry::{Base, Pose};
 
+use crate::frame::BodyFrame;
 use crate::math::{Draw, hsv};
 use crate::render::{Material, Pattern, PreparedMesh};
 
@@ -26,7 +28,7 @@ pub(crate) struct Body {
     pub mesh: Arc<PreparedMesh>,
     pub materials: Vec<Material>,
     /// Pose where it never moves; the episode has the others.
-    pub fixed: Option<DAffine3>,
+    pub fixed: Option<Pose<Base, BodyFrame>>,
     /// Whether it throws shadows: walls and floor would shut the light out.
     pub shadow: bool,
 }

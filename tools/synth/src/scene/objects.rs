@@ -2,10 +2,12 @@
 
 use std::sync::Arc;
 
-use glam::{DAffine3, DVec3};
+use glam::DVec3;
+use rogs_geometry::{Base, Pose};
 
 use super::{Body, FIRST_OBJECT_ID, draw_material};
-use crate::math::{Draw, rigid, rot_x, rot_z};
+use crate::frame::BodyFrame;
+use crate::math::{Draw, rot_x, rot_z};
 use crate::mesh::{Section, TriMesh};
 use crate::render::{Material, PreparedMesh};
 
@@ -14,7 +16,7 @@ use crate::render::{Material, PreparedMesh};
 pub(crate) struct Object {
     pub body: Body,
     /// Object-to-base at the start; the origin is the centre of the object's box.
-    pub start: DAffine3,
+    pub start: Pose<Base, BodyFrame>,
     /// Half extents in its own frame, metres.
     pub half: DVec3,
     /// Radius of a disc around it, metres.
@@ -64,7 +66,7 @@ pub(crate) fn draw_objects(draw: &mut Draw, count: usize, table_z: f64) -> Vec<O
         let size = 0.5 * half.max_element();
         let materials: Vec<Material> = (0..parts).map(|_| draw_material(draw, size, 0.95)).collect();
         let height = 2.0 * half.z;
-        let start = rigid(
+        let start = Pose::new(
             rot_z(draw.range(-3.1, 3.1)),
             DVec3::new(place.x, place.y, table_z + half.z),
         );
@@ -128,7 +130,7 @@ fn draw_shape(draw: &mut Draw, graspable: bool) -> Shape {
     let kind = draw.index(if graspable { 7 } else { 10 });
     let tall = draw.range(0.022, 0.07);
     let wide = size * draw.range(0.8, if graspable { 1.6 } else { 2.6 });
-    let about_z = |angle: f64| rigid(rot_z(angle), DVec3::ZERO);
+    let about_z = |angle: f64| Pose::new(rot_z(angle), DVec3::ZERO);
     let (name, mesh, grip_width, grip_depth) = match kind {
         0 => ("box", TriMesh::chamfered([size, wide, tall], 0.003), 2.0 * size, 0.028),
         1 => ("can", TriMesh::cylinder(size, tall, 24), 2.0 * size, 0.028),
@@ -158,7 +160,7 @@ fn draw_shape(draw: &mut Draw, graspable: bool) -> Shape {
         ),
         8 => ("bowl", bowl(1.3 * size, size), size, size),
         _ => {
-            let lying = rigid(rot_x(std::f64::consts::FRAC_PI_2), DVec3::ZERO);
+            let lying = Pose::new(rot_x(std::f64::consts::FRAC_PI_2), DVec3::ZERO);
             let wedge = TriMesh::prism(size, 1.5 * size, 3).placed(about_z(std::f64::consts::FRAC_PI_6));
             ("wedge", wedge.placed(lying), size, size)
         }
@@ -193,7 +195,7 @@ fn mug(radius: f64, half: f64) -> TriMesh {
     }
     // The handle stands on y, out of the way of fingers that close along x.
     let ring = TriMesh::handle(0.55 * half, 0.0045, -0.25, 0.25, 10);
-    mug.join(ring.placed(rigid(
+    mug.join(ring.placed(Pose::new(
         rot_z(std::f64::consts::FRAC_PI_2),
         DVec3::new(0.0, r - 0.003, 0.0),
     )));
@@ -249,10 +251,7 @@ mod tests {
             assert!(objects.len() >= 3);
             for (index, object) in objects.iter().enumerate() {
                 let mesh = object.body.mesh.mesh();
-                let lowest = mesh
-                    .positions
-                    .iter()
-                    .map(|p| object.start.transform_point3(p.as_dvec3()).z);
+                let lowest = mesh.positions.iter().map(|p| object.start.point(p.as_dvec3()).z);
                 assert!(
                     (lowest.fold(f64::INFINITY, f64::min) - 0.05).abs() < 1e-6,
                     "{}",

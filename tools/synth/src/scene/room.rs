@@ -2,10 +2,12 @@
 
 use std::sync::Arc;
 
-use glam::{DAffine3, DVec3, Vec3};
+use glam::{DVec3, Vec3};
+use rogs_geometry::{Base, Pose};
 
 use super::{Body, FIRST_SCENERY_ID, draw_material};
-use crate::math::{Draw, hsv, rigid, rot_z};
+use crate::frame::BodyFrame;
+use crate::math::{Draw, hsv, rot_z};
 use crate::mesh::TriMesh;
 use crate::render::{Material, Pattern, PreparedMesh};
 
@@ -22,7 +24,7 @@ struct Builder {
 }
 
 impl Builder {
-    fn add(&mut self, mesh: TriMesh, pose: DAffine3, material: Material, shadow: bool) {
+    fn add(&mut self, mesh: TriMesh, pose: Pose<Base, BodyFrame>, material: Material, shadow: bool) {
         let id = FIRST_SCENERY_ID.saturating_add(self.bodies.len() as u8);
         let mesh = Arc::new(PreparedMesh::new(mesh));
         self.bodies.push(Body {
@@ -37,7 +39,7 @@ impl Builder {
     /// A box between two corners.
     fn block(&mut self, low: [f64; 3], high: [f64; 3], material: Material, shadow: bool) {
         let (low, high) = (DVec3::from_array(low), DVec3::from_array(high));
-        let pose = DAffine3::from_translation(0.5 * (low + high));
+        let pose = Pose::from_translation(0.5 * (low + high));
         self.add(TriMesh::cuboid((0.5 * (high - low)).to_array()), pose, material, shadow);
     }
 }
@@ -196,7 +198,7 @@ fn furniture(draw: &mut Draw, room: &mut Builder, [x0, x1]: [f64; 2], [y0, y1]: 
         _ => (DVec3::new(draw.range(x0 + 0.7, x1 - 0.7), y1 - gap, 0.0), 1.0),
     };
     let lift = if draw.chance(0.3) { draw.range(0.3, 0.9) } else { 0.0 };
-    let pose = rigid(
+    let pose = Pose::new(
         rot_z(turn * std::f64::consts::FRAC_PI_2 + draw.range(-0.12, 0.12)),
         DVec3::new(centre.x, centre.y, floor_z + lift + 0.5 * tall),
     );

@@ -250,7 +250,7 @@ fn without_gradients(frames: &SourceFrames) -> SourceFrames {
     SourceFrames {
         images: frames.images.clone().without_autodiff(),
         cameras: frames.cameras.clone(),
-        base: frames.base,
+        recon_from_base_iu: frames.recon_from_base_iu,
         times: frames.times.clone(),
         attention: frames.attention.clone(),
     }

@@ -1,6 +1,7 @@
 //! One differentiable pass of the network over a clip.
 
 use burn::tensor::{Device, Tensor};
+use glam::DVec3;
 use rogs_field::MotionGates;
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 use rogs_schemas::units::UNITS_PER_METRE;
@@ -114,7 +115,7 @@ pub fn source_frames(sample: &Sample, device: &Device) -> SourceFrames {
     SourceFrames {
         images: from_host(sample.images.clone(), [sample.views.len(), 3, height, width], device),
         cameras: sample.cameras.clone(),
-        base: sample.base,
+        recon_from_base_iu: sample.recon_from_base_iu,
         times: sample.views.iter().map(|&(_, time)| time).collect(),
         attention: Attention::Joint,
     }
@@ -236,17 +237,15 @@ fn rays(sample: &Sample) -> (Vec<f32>, Vec<f32>) {
     let mut rays = vec![0.0; sample.cameras.len() * 3 * area];
     let mut origins = Vec::new();
     for (camera, rays) in sample.cameras.iter().zip(rays.chunks_exact_mut(3 * area)) {
-        let at_origin = rogs_stage1::Camera {
-            translation_iu: [0.0; 3],
-            ..*camera
-        };
+        let mut at_origin = *camera;
+        at_origin.world_from_camera_iu.translation = DVec3::ZERO;
         let directions = at_origin.unproject(&vec![1.0; area], height, width);
         for (pixel, direction) in directions.chunks_exact(3).enumerate() {
             for axis in 0..3 {
                 rays[axis * area + pixel] = direction[axis];
             }
         }
-        origins.extend(camera.translation_iu.map(|value| value as f32));
+        origins.extend(camera.world_from_camera_iu.translation.as_vec3().to_array());
     }
     (rays, origins)
 }

@@ -122,7 +122,9 @@ fn seen_elsewhere(sample: &Sample, view: usize, point_iu: [f64; 3]) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use rogs_stage1::{Camera, FramePose};
+    use glam::{DMat3, DVec3};
+    use rogs_geometry::Pose;
+    use rogs_stage1::NetworkCamera;
 
     use super::*;
 
@@ -133,9 +135,8 @@ mod tests {
     fn before_a_wall(distance_iu: f32) -> Sample {
         let camera = |x: f64, away: bool| {
             let turn = if away { -1.0 } else { 1.0 };
-            Camera {
-                rotation: [turn, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, turn],
-                translation_iu: [x, 0.0, 0.0],
+            NetworkCamera {
+                world_from_camera_iu: Pose::new(DMat3::from_diagonal(DVec3::new(turn, 1.0, turn)), DVec3::X * x),
                 focal_centre: [0.5, 1.0, 0.5, 0.5],
             }
         };
@@ -150,7 +151,7 @@ mod tests {
                 camera(0.0, true),
                 camera(0.0, false),
             ],
-            base: FramePose::IDENTITY,
+            recon_from_base_iu: Pose::IDENTITY,
             raster_cameras: Vec::new(),
             views: vec![(0, 0.0), (1, 0.0), (2, 0.0), (0, 1.0)],
             depth_iu: vec![distance_iu; pixels],

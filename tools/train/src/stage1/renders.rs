@@ -2,7 +2,7 @@
 
 use burn::tensor::{Bool, Tensor};
 use rogs_schemas::units::m_from_iu;
-use rogs_splat::{Camera, RasterConfig};
+use rogs_splat::{RasterCamera, RasterConfig};
 use rogs_tensors::parameters::from_host;
 use rogs_tensors::render::render_views;
 
@@ -44,7 +44,7 @@ fn views(
 ) -> Result<()> {
     let device = lifted.depth.device();
     let [height, width] = sample.size;
-    let cameras: Vec<Camera> = query.targets.iter().map(|target| target.camera).collect();
+    let cameras: Vec<RasterCamera> = query.targets.iter().map(|target| target.camera).collect();
     let field = gaussians(
         lifted.position.clone() + outputs.displacement.clone(),
         attributes(outputs.raw.clone(), sample),
@@ -150,7 +150,7 @@ fn motion(
             at_time(&base),
             Some(at_time(&outputs.displacement)),
         );
-        let cameras: Vec<Camera> = views.iter().map(|&view| sample.raster_cameras[view]).collect();
+        let cameras: Vec<RasterCamera> = views.iter().map(|&view| sample.raster_cameras[view]).collect();
         let rendered = render_views(&field, &cameras, None, &RasterConfig::default())?;
         let Some(moved) = rendered.extra else { continue };
         let hit: Tensor<4, Bool> = rendered.alpha.greater_elem(0.0).unsqueeze_dim(3);

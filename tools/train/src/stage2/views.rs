@@ -1,11 +1,11 @@
 //! Held-out clips before and after refinement.
 
 use rogs_field::TimedField;
-use rogs_geometry::transform::{Base, Camera as CameraFrame, Pose, Recon};
+use rogs_geometry::{Pose, PosedCamera, Recon};
 use rogs_schemas::records::clip::{Clip, time_of_frame};
 use rogs_schemas::records::refinement::Refinement;
-use rogs_schemas::units::UNITS_PER_METRE;
-use rogs_splat::{Camera, RasterConfig, render};
+use rogs_schemas::units::LengthUnit;
+use rogs_splat::{RasterCamera, RasterConfig, render};
 
 use super::lifted::LiftedClip;
 use crate::error::Result;
@@ -28,17 +28,11 @@ pub(super) fn view(
     };
     let frames = records.clip.frame_count();
     let scene = timed.gaussians(time_of_frame(frame, frames))?;
-    let base_from_camera = &records.robot.base_from_camera[camera * frames + frame as usize];
-    let recon_from_camera = Pose::<Recon, Base>::from_rigid(&records.robot.recon_from_base)?
-        * Pose::<Base, CameraFrame>::from_rigid(base_from_camera)?;
-    let lens = Camera::from_world_pose(
-        field.width,
-        field.height,
-        &records.clip.cameras[camera].intrinsics,
-        &recon_from_camera.to_rigid(),
-        UNITS_PER_METRE,
-    );
-    Ok(render(&scene, &lens, &RasterConfig::default())?.rgb)
+    let recon_from_base = Pose::from_rigid(&records.robot.recon_from_base)?;
+    let posed = PosedCamera::of_clip(&records.clip, &records.robot, camera, frame as usize)?;
+    let posed: PosedCamera<Recon> = posed.in_frame(&recon_from_base);
+    let camera = RasterCamera::new(&posed, LengthUnit::Internal);
+    Ok(render(&scene, &camera, &RasterConfig::default())?.rgb)
 }
 
 /// What a camera saw, RGB in 0..1. `[A, 3]`

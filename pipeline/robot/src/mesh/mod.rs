@@ -14,7 +14,7 @@ use std::path::Path;
 use glam::DVec3;
 
 use crate::error::{Error, Result};
-use crate::robot::{Geometry, RobotFolder, Shape, read_capped};
+use crate::model::{Geometry, RobotFolder, Shape, read_capped};
 
 /// Largest mesh file that is read, bytes.
 pub const MAX_FILE_BYTES: u64 = 256 << 20;

@@ -6,11 +6,13 @@ use std::ops::Mul;
 
 use glam::{DMat3, DQuat, DVec3};
 use rogs_schemas::RigidPose;
+use rogs_schemas::units::LengthUnit;
 
 use crate::error::{Error, Result};
+use crate::rotation::{quaternion, rotation_from_euler_xyz};
 
 /// A coordinate frame, as a type.
-pub trait Frame {
+pub trait Frame: Copy + PartialEq + fmt::Debug {
     /// Name for messages.
     const NAME: &'static str;
 }
@@ -33,11 +35,12 @@ frames! {
     Link = "link";
 }
 
-/// A rigid transform `a_from_b`: maps points given in frame `B` to frame `A`, `p_a = R p_b + t`, metres.
+/// A rigid transform `a_from_b`: maps points given in frame `B` to frame `A`, `p_a = R p_b + t`. The translation is in
+/// metres, or in the unit that the name of the value gives (`recon_from_base_iu`: internal units).
 pub struct Pose<A, B> {
     /// R.
     pub rotation: DMat3,
-    /// t, metres.
+    /// t, metres unless the value's name gives another unit.
     pub translation: DVec3,
     frames: PhantomData<fn() -> (A, B)>,
 }
@@ -62,6 +65,12 @@ impl<A: Frame, B: Frame> Pose<A, B> {
             translation,
             frames: PhantomData,
         }
+    }
+
+    /// A translation without a rotation, metres.
+    #[must_use]
+    pub const fn from_translation(translation: DVec3) -> Self {
+        Self::new(DMat3::IDENTITY, translation)
     }
 
     /// From `[x, y, z]` metres and the Euler angles `[a, b, c]` of the DROID logs: rotations about the FIXED axes x, y,
@@ -132,6 +141,20 @@ impl<A: Frame, B: Frame> Pose<A, B> {
         Pose::new(transposed, -(transposed * self.translation))
     }
 
+    /// `c_from_b`, given where frame `C` stands in `A`. As `frame.inverse() * self`, but from the difference of the two
+    /// positions, so that nothing is lost when both are far from the origin of `A`.
+    #[must_use]
+    pub fn seen_from<C: Frame>(&self, frame: &Pose<A, C>) -> Pose<C, B> {
+        let turned = frame.rotation.transpose();
+        Pose::new(turned * self.rotation, turned * (self.translation - frame.translation))
+    }
+
+    /// The same transform of lengths in another unit than metres.
+    #[must_use]
+    pub fn in_unit(&self, unit: LengthUnit) -> Self {
+        Self::new(self.rotation, self.translation * unit.per_metre())
+    }
+
     /// A point of frame `B` in frame `A`.
     #[must_use]
     pub fn point(&self, point: DVec3) -> DVec3 {
@@ -147,8 +170,7 @@ impl<A: Frame, B: Frame> Pose<A, B> {
     /// The rotation as a unit quaternion with non-negative real part.
     #[must_use]
     pub fn quaternion(&self) -> DQuat {
-        let quaternion = DQuat::from_mat3(&self.rotation).normalize();
-        if quaternion.w < 0.0 { -quaternion } else { quaternion }
+        quaternion(&self.rotation)
     }
 
     /// The nearest transform whose rotation is orthonormal to machine precision. For calibrations printed with few
@@ -210,45 +232,6 @@ impl<A: Frame, B: Frame> Pose<A, B> {
     }
 }
 
-/// `R = Rz(c) Ry(b) Rx(a)` for `[a, b, c]`, radians: the SciPy `"xyz"` (extrinsic) convention.
-#[must_use]
-pub fn rotation_from_euler_xyz([a, b, c]: [f64; 3]) -> DMat3 {
-    let (sa, ca) = libm::sincos(a);
-    let (sb, cb) = libm::sincos(b);
-    let (sc, cc) = libm::sincos(c);
-    DMat3::from_cols(
-        DVec3::new(cc * cb, sc * cb, -sb),
-        DVec3::new(cc * sb * sa - sc * ca, sc * sb * sa + cc * ca, cb * sa),
-        DVec3::new(cc * sb * ca + sc * sa, sc * sb * ca - cc * sa, cb * ca),
-    )
-}
-
-/// The Euler angles `[a, b, c]` of [`rotation_from_euler_xyz`]; at the pole `b = +-pi/2` the first angle is 0.
-#[must_use]
-pub fn euler_xyz_from_rotation(rotation: &DMat3) -> [f64; 3] {
-    let (x, y, z) = (rotation.x_axis, rotation.y_axis, rotation.z_axis);
-    let cos_b = libm::hypot(x.x, x.y);
-    let b = libm::atan2(-x.z, cos_b);
-    if cos_b > 1e-9 {
-        [libm::atan2(y.z, z.z), b, libm::atan2(x.y, x.x)]
-    } else {
-        [0.0, b, libm::atan2(-y.x, y.y)]
-    }
-}
-
-/// The rotation about a unit axis by an angle, radians.
-#[must_use]
-pub fn rotation_about_axis(axis: DVec3, angle: f64) -> DMat3 {
-    let (sin, cos) = libm::sincos(angle);
-    let rest = 1.0 - cos;
-    let DVec3 { x, y, z } = axis;
-    DMat3::from_cols(
-        DVec3::new(cos + x * x * rest, x * y * rest + z * sin, x * z * rest - y * sin),
-        DVec3::new(x * y * rest - z * sin, cos + y * y * rest, y * z * rest + x * sin),
-        DVec3::new(x * z * rest + y * sin, y * z * rest - x * sin, cos + z * z * rest),
-    )
-}
-
 impl<A, B, C> Mul<Pose<B, C>> for Pose<A, B> {
     type Output = Pose<A, C>;
 
@@ -291,30 +274,6 @@ mod tests {
 
     fn example() -> Pose<Base, Link> {
         Pose::from_xyz_euler([0.1, -0.2, 0.3], [0.4, -0.5, 2.6])
-    }
-
-    #[test]
-    fn euler_angles_are_extrinsic_xyz() {
-        let [a, b, c] = [0.3, -0.7, 1.1];
-        let about = |axis, angle| rotation_about_axis(axis, angle);
-        let expected = about(DVec3::Z, c) * about(DVec3::Y, b) * about(DVec3::X, a);
-        assert!(
-            (rotation_from_euler_xyz([a, b, c]) - expected)
-                .to_cols_array()
-                .iter()
-                .all(|e| e.abs() < 1e-15)
-        );
-        let back = euler_xyz_from_rotation(&expected);
-        assert!(back.iter().zip([a, b, c]).all(|(x, y)| (x - y).abs() < 1e-14));
-    }
-
-    #[test]
-    fn the_pole_of_the_euler_angles_reproduces_the_rotation() {
-        for b in [std::f64::consts::FRAC_PI_2, -std::f64::consts::FRAC_PI_2] {
-            let rotation = rotation_from_euler_xyz([0.4, b, -1.2]);
-            let again = rotation_from_euler_xyz(euler_xyz_from_rotation(&rotation));
-            assert!((rotation - again).to_cols_array().iter().all(|e| e.abs() < 1e-12));
-        }
     }
 
     #[test]
@@ -391,15 +350,23 @@ mod tests {
     }
 
     #[test]
-    fn quaternions_have_a_non_negative_real_part() {
-        let pose: Pose<Base, Link> = Pose::from_xyz_euler([0.0; 3], [3.0, 0.2, -3.1]);
-        let quaternion = pose.quaternion();
-        assert!(quaternion.w >= 0.0);
-        assert!(
-            (DMat3::from_quat(quaternion) - pose.rotation)
-                .to_cols_array()
-                .iter()
-                .all(|e| e.abs() < 1e-12)
+    fn a_frame_seen_from_another_is_what_inversion_and_composition_give() {
+        let recon_from_base: Pose<Recon, Base> = Pose::from_xyz_euler([10.0, -20.0, 5.0], [1.1, 0.3, -2.0]);
+        let recon_from_link: Pose<Recon, Link> = recon_from_base * example();
+        let seen = recon_from_link.seen_from(&recon_from_base);
+        assert!((seen.rotation - example().rotation).abs_diff_eq(DMat3::ZERO, 1e-15));
+        assert!((seen.translation - example().translation).length() < 1e-14);
+        assert_eq!(recon_from_base.seen_from(&recon_from_base).translation, DVec3::ZERO);
+    }
+
+    #[test]
+    fn units_scale_the_translation_alone() {
+        let (metres, internal) = (example(), example().in_unit(LengthUnit::Internal));
+        assert_eq!(metres.in_unit(LengthUnit::Metre), metres);
+        assert_eq!(internal.rotation, metres.rotation);
+        assert_eq!(
+            internal.translation,
+            metres.translation * LengthUnit::Internal.per_metre()
         );
     }
 }

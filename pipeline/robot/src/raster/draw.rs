@@ -2,11 +2,11 @@
 
 use std::ops::Range;
 
+use rogs_geometry::{Camera, Link, Pinhole, Pose};
+
 use super::clip::clip;
 use super::project::{FixedPinhole, SUBPIXEL_BITS, ScreenVertices, matrix, transform};
 use super::{MeshScene, RenderOptions};
-use crate::camera::Pinhole;
-use crate::transform::{Camera, Link, Pose};
 
 /// Key of a pixel that nothing covers. Other keys hold the bits of the depth above the number of the triangle: for
 /// positive floats the order of bits is the order of values, so the least key is the nearest surface.

@@ -6,7 +6,7 @@ use glam::{DAffine3, DMat3, DMat4, DVec3};
 use roxmltree::{Document, Node, ParsingOptions};
 
 use super::{MAX_TRIANGLES, Mesh, Parsed, fan};
-use crate::robot::guard::{XmlLimits, check_xml};
+use crate::model::guard::{XmlLimits, check_xml};
 
 const LIMITS: XmlLimits = XmlLimits {
     depth: 64,
@@ -310,7 +310,7 @@ fn node_transform(node: Node<'_, '_>) -> Parsed<DAffine3> {
             "scale" => DAffine3::from_scale(vector(0)),
             _ => {
                 let axis = vector(0).try_normalize().ok_or("a `rotate` has no axis")?;
-                DAffine3::from_mat3(crate::transform::rotation_about_axis(axis, values[3].to_radians()))
+                DAffine3::from_mat3(rogs_geometry::rotation_about_axis(axis, values[3].to_radians()))
             }
         };
     }

@@ -11,8 +11,9 @@ use std::path::Path;
 use common::{panda, peak_memory_mib, processor_seconds, run_peer, seconds};
 use glam::{DMat3, DVec3};
 use rayon::ThreadPoolBuilder;
-use rogs_geometry::raster::Renderer;
-use rogs_geometry::{Base, Camera, Link, MeshImage, MeshScene, Pinhole, Pose, RenderOptions, RobotModel};
+use rogs_geometry::{Base, Camera, Link, Pinhole, Pose};
+use rogs_robot::raster::Renderer;
+use rogs_robot::{MeshImage, MeshScene, RenderOptions, RobotModel};
 use rogs_schemas::Intrinsics;
 use rogs_schemas::records::robot::{NO_LINK, RobotSpec};
 

@@ -1,10 +1,9 @@
 //! Vertices to fixed-point image coordinates.
 
 use rayon::prelude::*;
+use rogs_geometry::{Camera, Link, Pinhole, Pose};
 
 use super::{MeshScene, RenderOptions};
-use crate::camera::Pinhole;
-use crate::transform::{Camera, Link, Pose};
 
 /// Fractional bits of image coordinates.
 pub(super) const SUBPIXEL_BITS: u32 = 16;

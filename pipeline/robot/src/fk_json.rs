@@ -3,7 +3,7 @@
 use serde_json::{Map, Value, json};
 
 use crate::error::{Error, Result};
-use crate::robot::{JointKind, RobotModel};
+use crate::model::{JointKind, RobotModel};
 
 /// One JSON object per row; its `links` maps each link's name to its row-major 4x4 pose in the base link's frame.
 ///

@@ -4,11 +4,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use glam::DVec3;
+use rogs_geometry::{Link, Pose};
 
 use super::guard::{XmlLimits, check_xml};
 use super::{Geometry, Joint, JointKind, Mimic, RobotFolder, RobotLink, RobotModel, Shape, read_capped};
 use crate::error::{Error, Result};
-use crate::transform::{Link, Pose};
 
 const MAX_BYTES: u64 = 1 << 20;
 const LIMITS: XmlLimits = XmlLimits {
@@ -35,7 +35,7 @@ pub(super) fn load(path: &Path) -> Result<RobotModel> {
         .map(link)
         .collect::<std::result::Result<Vec<_>, _>>()
         .map_err(refuse)?;
-    let joints = joints(&robot).map_err(refuse)?;
+    let joints = joints(&robot, root_link).map_err(refuse)?;
     let folder = RobotFolder::of_urdf(path)?;
     Ok(RobotModel {
         name: robot.name,
@@ -50,7 +50,7 @@ pub(super) fn load(path: &Path) -> Result<RobotModel> {
 
 type Checked<T> = std::result::Result<T, String>;
 
-/// Checks names and tree shape and returns the index of the root link. `k` panics on some of what is refused here.
+/// Checks names and tree shape and returns the index of the root link.
 fn check_tree(robot: &urdf_rs::Robot) -> Checked<usize> {
     if robot.links.is_empty() {
         return Err("it has no link".into());
@@ -179,11 +179,27 @@ fn pose(origin: &urdf_rs::Pose, place: &str) -> Checked<Pose<Link, Link>> {
     Ok(Pose::from_xyz_euler(xyz, rpy))
 }
 
-/// The joints in the order of the chain that `k` builds, parents first.
-///
-/// `k` supplies the tree; the transforms are evaluated by our own loop, because `k` leaves mimic joints at 0, refuses
-/// mimic values outside the limits of the mimicking joint, and locks a mutex per joint.
-fn joints(robot: &urdf_rs::Robot) -> Checked<Vec<Joint>> {
+/// The joints depth first from the root link, so that parents come before their children; those of one link in the order
+/// of the file. In a checked tree these are all joints.
+fn depth_first(robot: &urdf_rs::Robot, root_link: usize) -> Vec<&urdf_rs::Joint> {
+    let mut joints_of: BTreeMap<&str, Vec<&urdf_rs::Joint>> = BTreeMap::new();
+    // The last joint of a list is taken first.
+    for joint in robot.joints.iter().rev() {
+        joints_of.entry(&joint.parent.link).or_default().push(joint);
+    }
+    let mut open = joints_of
+        .remove(robot.links[root_link].name.as_str())
+        .unwrap_or_default();
+    let mut order = Vec::with_capacity(robot.joints.len());
+    while let Some(joint) = open.pop() {
+        order.push(joint);
+        open.extend(joints_of.remove(joint.child.link.as_str()).unwrap_or_default());
+    }
+    order
+}
+
+/// The joints of a checked tree, parents first.
+fn joints(robot: &urdf_rs::Robot, root_link: usize) -> Checked<Vec<Joint>> {
     let id_of: BTreeMap<&str, usize> = robot
         .links
         .iter()
@@ -193,22 +209,16 @@ fn joints(robot: &urdf_rs::Robot) -> Checked<Vec<Joint>> {
     let by_name: BTreeMap<&str, &urdf_rs::Joint> =
         robot.joints.iter().map(|joint| (joint.name.as_str(), joint)).collect();
     check_mimics(&by_name)?;
-    // `k` panics on reversed limits of any joint, so nothing unchecked reaches it.
     robot.joints.iter().try_for_each(check_limits)?;
-    let chain = k::Chain::<f64>::from(robot);
-    let order: Vec<String> = chain.iter().map(|node| node.joint().name.clone()).collect();
-    let order: Vec<&str> = order
+    let order = depth_first(robot, root_link);
+    let index_of: BTreeMap<&str, usize> = order
         .iter()
-        .map(String::as_str)
-        .filter(|name| by_name.contains_key(name))
+        .enumerate()
+        .map(|(index, joint)| (joint.name.as_str(), index))
         .collect();
-    let index_of: BTreeMap<&str, usize> = order.iter().enumerate().map(|(index, name)| (*name, index)).collect();
-    if order.len() != robot.joints.len() {
-        return Err("its joints form no tree".into());
-    }
-    let convert = |name: &&str| {
-        let source = by_name[name];
-        let place = format!("joint `{name}`");
+    let convert = |source: &&urdf_rs::Joint| {
+        let source = *source;
+        let place = format!("joint `{}`", source.name);
         let kind = joint_kind(source)?;
         Ok(Joint {
             name: source.name.clone(),
@@ -326,4 +336,33 @@ fn resolve_mimic<'a>(
         driver = by_name[next.joint.as_str()];
     }
     Some((driver.name.as_str(), multiplier, offset))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn joints_come_parents_first_in_the_order_of_the_file_as_in_the_k_crate() {
+        let link = |name: &str| format!(r#"<link name="{name}"/>"#);
+        let joint = |name: &str, parent: &str, child: &str| {
+            format!(r#"<joint name="{name}" type="fixed"><parent link="{parent}"/><child link="{child}"/></joint>"#)
+        };
+        let links: String = ["d", "b", "root", "a", "c", "e", "f"].map(link).concat();
+        let joints = [
+            joint("to_c", "a", "c"),
+            joint("to_a", "root", "a"),
+            joint("to_f", "b", "f"),
+            joint("to_b", "root", "b"),
+            joint("to_d", "a", "d"),
+            joint("to_e", "c", "e"),
+        ];
+        let text = format!(r#"<robot name="r">{links}{}</robot>"#, joints.concat());
+        let robot = urdf_rs::read_from_string(&text).unwrap();
+        let order: Vec<&str> = depth_first(&robot, 2).iter().map(|joint| joint.name.as_str()).collect();
+        assert_eq!(order, ["to_a", "to_c", "to_e", "to_d", "to_b", "to_f"]);
+        let peer = k::Chain::<f64>::from(&robot);
+        let peer: Vec<String> = peer.iter().skip(1).map(|node| node.joint().name.clone()).collect();
+        assert_eq!(order, peer);
+    }
 }

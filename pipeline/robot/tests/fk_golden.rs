@@ -4,7 +4,7 @@ mod common;
 
 use std::collections::BTreeMap;
 
-use rogs_geometry::{JointState, RobotModel};
+use rogs_robot::{JointState, RobotModel};
 use rogs_schemas::records::robot::RobotSpec;
 use serde_json::Value;
 
@@ -73,7 +73,7 @@ fn the_flange_pose_is_the_recorded_cartesian_position() {
         let flange = model.fk(state)[model.link_id("panda_link8").unwrap()];
         let distance = (flange.translation - glam::DVec3::from_slice(&recorded[..3])).length();
         assert!(distance < 1e-6, "{distance}");
-        let euler = rogs_geometry::transform::euler_xyz_from_rotation(&flange.rotation);
+        let euler = rogs_geometry::euler_xyz_from_rotation(&flange.rotation);
         let turn = |a: f64, b: f64| {
             ((a - b + 3.0 * std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI).abs()
         };
@@ -123,7 +123,7 @@ fn own_transforms_agree_with_the_k_crate() {
 fn the_table_form_follows_mimic_joints_and_names_its_errors() {
     let Some(model) = common::panda() else { return };
     let header: Vec<String> = ["panda_joint1", " finger_joint "].map(String::from).to_vec();
-    let rows = rogs_geometry::fk_json::fk_rows(&model, &header, [vec!["0.5", " 0.3"], vec!["0", "0"]]).unwrap();
+    let rows = rogs_robot::fk_json::fk_rows(&model, &header, [vec!["0.5", " 0.3"], vec!["0", "0"]]).unwrap();
     assert_eq!(rows.len(), 2);
     let state = model
         .joint_state([("panda_joint1", 0.5), ("finger_joint", 0.3)])
@@ -132,7 +132,7 @@ fn the_table_form_follows_mimic_joints_and_names_its_errors() {
     assert_eq!(numbers(&rows[0]["links"]["right_inner_finger"]), expected);
     let error = |header: &[&str], row: &[&str]| {
         let header: Vec<String> = header.iter().map(|&name| name.to_owned()).collect();
-        rogs_geometry::fk_json::fk_rows(&model, &header, [row.to_vec()])
+        rogs_robot::fk_json::fk_rows(&model, &header, [row.to_vec()])
             .unwrap_err()
             .to_string()
     };

@@ -1,10 +1,10 @@
 //! Joint states and forward kinematics of one state, in f64.
 
+use rogs_geometry::{Base, Link, Pose, rotation_about_axis};
 use rogs_schemas::records::robot::RobotSpec;
 
 use super::{JointKind, RobotModel};
 use crate::error::{Error, Result};
-use crate::transform::{Base, Link, Pose, rotation_about_axis};
 
 /// A value for every joint of a model, mimic joints included. Joints that were not set are at 0.
 #[derive(Debug, Clone, PartialEq)]

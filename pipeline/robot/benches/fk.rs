@@ -5,8 +5,8 @@ mod common;
 
 use common::{panda, peak_memory_mib, seconds};
 use rayon::ThreadPoolBuilder;
-use rogs_geometry::RobotModel;
-use rogs_geometry::batch::{BatchFk, BatchTransforms};
+use rogs_robot::RobotModel;
+use rogs_robot::batch::{BatchFk, BatchTransforms};
 
 const STATES: usize = 100_000;
 const STATES_OF_K: usize = 20_000;

@@ -8,6 +8,7 @@ mod load;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
+use rogs_geometry::{Link, Pose};
 
 pub use fk::{JointState, LimitExcess};
 pub use folder::RobotFolder;
@@ -15,7 +16,6 @@ pub(crate) use folder::read_capped;
 
 use crate::error::{Error, Result};
 use crate::names;
-use crate::transform::{Link, Pose};
 
 /// A robot description that was read and checked: one root, no cycles, unique names, finite numbers, limits where they
 /// are due, mimic joints resolved to the joint that drives them.

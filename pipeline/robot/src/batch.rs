@@ -5,7 +5,7 @@
 
 use rayon::prelude::*;
 
-use crate::robot::{JointKind, RobotModel};
+use crate::model::{JointKind, RobotModel};
 
 /// States per block.
 pub const BLOCK: usize = 64;
@@ -79,7 +79,7 @@ impl BatchFk {
     pub fn new(model: &RobotModel) -> Self {
         let driven: Vec<usize> = model.driven_joints().collect();
         let column = |joint: usize| driven.iter().position(|&candidate| candidate == joint);
-        let step = |(index, joint): (usize, &crate::robot::Joint)| {
+        let step = |(index, joint): (usize, &crate::model::Joint)| {
             let (driver, multiplier, offset) = match joint.mimic {
                 Some(mimic) => (mimic.driver, mimic.multiplier as f32, mimic.offset as f32),
                 None => (index, 1.0, 0.0),

@@ -20,7 +20,7 @@ pub(crate) fn shared(path: &str) -> Option<PathBuf> {
 }
 
 /// The Panda with the Robotiq gripper.
-pub(crate) fn panda() -> Option<rogs_geometry::RobotModel> {
+pub(crate) fn panda() -> Option<rogs_robot::RobotModel> {
     let urdf = shared("data/robots/panda_robotiq_2f85/franka_panda_robotiq_2f85.urdf")?;
-    Some(rogs_geometry::RobotModel::load(&urdf).unwrap())
+    Some(rogs_robot::RobotModel::load(&urdf).unwrap())
 }

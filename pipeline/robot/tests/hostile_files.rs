@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use proptest::prelude::*;
-use rogs_geometry::{Mesh, RobotModel};
+use rogs_robot::{Mesh, RobotModel};
 
 /// Counts live bytes, to see that no file makes a reader allocate much more than its size.
 struct Counting;

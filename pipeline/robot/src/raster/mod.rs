@@ -13,14 +13,13 @@ mod project;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
+use rogs_geometry::{Camera, Link, Pinhole, Pose};
 use rogs_schemas::records::robot::{NO_LINK, RobotSpec};
 
-use crate::camera::Pinhole;
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
+use crate::model::RobotModel;
 use crate::names;
-use crate::robot::RobotModel;
-use crate::transform::{Camera, Link, Pose};
 
 use draw::EMPTY;
 use project::ScreenVertices;

@@ -2,6 +2,7 @@
 
 use glam::{DVec2, DVec3};
 use rogs_schemas::Intrinsics;
+use rogs_schemas::records::clip::{Clip, ClipCamera};
 
 /// A pinhole camera without distortion and its image size.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,6 +16,16 @@ pub struct Pinhole {
 }
 
 impl Pinhole {
+    /// A camera of a clip, whose images all have the clip's size.
+    #[must_use]
+    pub fn of_clip(clip: &Clip, camera: &ClipCamera) -> Self {
+        Self {
+            intrinsics: camera.intrinsics,
+            width: clip.width,
+            height: clip.height,
+        }
+    }
+
     /// A camera whose principal point is given for INTEGER pixel centres (ZED SDK, OpenCV): half a pixel is added.
     #[must_use]
     pub fn from_integer_centres(intrinsics: Intrinsics, width: u32, height: u32) -> Self {

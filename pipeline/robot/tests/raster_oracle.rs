@@ -3,8 +3,9 @@
 mod common;
 
 use glam::DVec3;
-use rogs_geometry::raster::Renderer;
-use rogs_geometry::{Base, Camera, Link, Mesh, MeshImage, MeshScene, Pinhole, Pose, RenderOptions};
+use rogs_geometry::{Base, Camera, Link, Pinhole, Pose};
+use rogs_robot::raster::Renderer;
+use rogs_robot::{Mesh, MeshImage, MeshScene, RenderOptions};
 use rogs_schemas::Intrinsics;
 use rogs_schemas::records::robot::{NO_LINK, RobotSpec};
 
@@ -359,7 +360,7 @@ fn the_order_of_drawing_does_not_matter_and_ties_go_to_the_lower_triangle() {
         image
             .triangle
             .iter()
-            .all(|&triangle| triangle == 0 || triangle == rogs_geometry::raster::NO_TRIANGLE)
+            .all(|&triangle| triangle == 0 || triangle == rogs_robot::raster::NO_TRIANGLE)
     );
 }
 
