@@ -1,282 +1,18 @@
-//! What scripts rely on: one JSON value on standard output with `--json`, exit codes, streams, completions, manual pages,
-//! the schema for editors, and plans that other engines run.
+//! What scripts rely on: exit codes, streams, completions, the schema for editors, and plans that other engines run.
+//! `json_output.rs` is about `--json`, `snapshots.rs` about help texts.
 
 mod support;
 
-use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use rogs_needs::needs;
 use serde_json::{Value, json};
 use support::{ROGS, Workspace};
 
 fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
-}
-
-/// All commands, as the manual pages name them: `rogs-weights-list`.
-fn commands() -> BTreeSet<String> {
-    let folder = tempfile::tempdir().unwrap();
-    let out = folder.path().join("man");
-    let output = Command::new(ROGS)
-        .args(["man", "--json", "--out"])
-        .arg(&out)
-        .output()
-        .unwrap();
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    let files: Vec<std::path::PathBuf> = serde_json::from_slice(&output.stdout).unwrap();
-    let names: BTreeSet<String> = files
-        .iter()
-        .map(|file| file.file_stem().unwrap().to_string_lossy().into_owned())
-        .collect();
-    for file in &files {
-        let page = std::fs::read_to_string(file).unwrap();
-        assert!(page.contains(".TH ") && page.contains(".SH NAME"), "{}", file.display());
-    }
-    assert!(
-        std::fs::read_to_string(out.join("rogs-run.1"))
-            .unwrap()
-            .contains("same bytes")
-    );
-    names
-}
-
-/// The commands that only group others.
-const GROUPS: [&str; 2] = ["rogs", "rogs-weights"];
-
-/// Camera file with one view in the base frame.
-const CAMERA: &str = r#"{"name": "view", "width": 56, "height": 42, "intrinsics": {"fx": 30, "fy": 30, "cx": 28, "cy": 21},
-    "recon_from_camera": [[1,0,0,0], [0,1,0,0], [0,0,1,0], [0,0,0,1]]}"#;
-
-#[test]
-fn every_command_prints_one_json_value_when_asked() {
-    let workspace = Workspace::small(1);
-    workspace.manifest("other.toml", "other");
-    workspace.write("camera.json", CAMERA);
-    workspace.write("joints.csv", "panda_joint1\n0.1\n");
-    let episode = json!({"episode_id": "ILIAD+abc+2023-01-01-10h-00m-00s", "lab": null, "scene": "s", "clip_name": "clip_001",
-        "train_or_val": false, "stereo": true, "frames": 33, "calibration": true, "gripper_range": [0.0, 1.0]});
-    workspace.write("episodes.json", &json!([episode]).to_string());
-    let split = json!({"domain": "droid", "seed": 42, "test_percentage": 0.1,
-        "test_clip_keys": ["ILIAD+abc+2023-01-01-10h-00m-00s-0:33"]});
-    workspace.write("split.json", &split.to_string());
-
-    let mut seen = BTreeSet::new();
-    let mut ask = |code: i32, arguments: &[&str]| -> Value {
-        let mut name = format!("rogs-{}", arguments[0]);
-        if arguments[0] == "weights" {
-            name = format!("{name}-{}", arguments[1]);
-        }
-        seen.insert(name);
-        let output = workspace.rogs(&[arguments, &["--json"]].concat());
-        let called = arguments.join(" ");
-        assert_eq!(output.status.code(), Some(code), "{called}: {}", text(&output.stderr));
-        let value = serde_json::from_slice(&output.stdout)
-            .unwrap_or_else(|error| panic!("{called}: no JSON ({error}): {}", text(&output.stdout)));
-        assert!(!text(&output.stderr).contains("panicked"), "{called}");
-        value
-    };
-    let estimate = ask(0, &["plan", "manifest.toml"]);
-    assert_eq!((&estimate["clips"], &estimate["seconds"]), (&json!(1), &Value::Null));
-    let dry = ask(0, &["submit", "manifest.toml", "--dry-run"]);
-    assert_eq!((&dry["ids"], dry["scripts"].as_array().unwrap().len()), (&json!([]), 7));
-    assert!(!workspace.path("run").exists(), "a dry run writes nothing");
-    let run = ask(0, &["run", "manifest.toml"]);
-    assert_eq!(run["units"]["made"], 7);
-    assert_eq!(ask(0, &["plan", "manifest.toml", "--explain"]), json!([]));
-    let exported = ask(0, &["plan", "other.toml", "--emit", "jsonl"]);
-    assert_eq!(
-        (&exported["units"], exported["commands"].as_array().unwrap().len()),
-        (&json!(7), 6)
-    );
-    assert_eq!(ask(0, &["status", "run"])["clips"]["done"], 1);
-    assert_eq!(ask(75, &["status", "other"])["clips"]["done"], 0);
-    assert_eq!(ask(0, &["verify", "run"])["good"], 7);
-    assert!(ask(0, &["report", "run"])["report"].is_string());
-    assert!(ask(0, &["report", "run", "--table", "main"]).is_object());
-    assert!(ask(0, &["table", "run"]).is_object());
-    let clip = std::fs::read_dir(workspace.path("run/clips"))
-        .unwrap()
-        .next()
-        .unwrap()
-        .unwrap();
-    let clip = clip.file_name().into_string().unwrap();
-    assert_eq!(ask(0, &["logs", "run", &clip]).as_array().unwrap().len(), 7);
-    assert_eq!(ask(0, &["diff", "run", "run"])["same"], 7);
-    assert_eq!(ask(1, &["diff", "run", "other"])["only_a"].as_array().unwrap().len(), 7);
-    assert_eq!(ask(0, &["gc", "run", "--dry-run"])["files"], json!([]));
-
-    let field = format!("run/clips/{clip}/field-1.r4c");
-    assert_eq!(ask(0, &["inspect", &field])["schema"], "rogs.field");
-    let view = ["--camera", "camera.json", "--out", "pictures"];
-    assert_eq!(
-        ask(0, &[&["render", &field], &view[..]].concat())
-            .as_array()
-            .unwrap()
-            .len(),
-        1
-    );
-    let query = [
-        "query",
-        &field,
-        "--time",
-        "0.37",
-        "--weights",
-        "data/compact-stage1.safetensors",
-    ];
-    assert_eq!(ask(0, &[&query, &view[..]].concat()).as_array().unwrap().len(), 1);
-    let images = format!("data/episodes/{clip}/wrist");
-    assert_eq!(
-        ask(0, &["metrics", &images, &images])["pairs"]
-            .as_array()
-            .unwrap()
-            .len(),
-        17
-    );
-    assert_eq!(
-        ask(0, &["fk", "data/robot/panda_synth.urdf", "--joints", "joints.csv"])
-            .as_array()
-            .unwrap()
-            .len(),
-        1
-    );
-    let cohort = [
-        "cohort",
-        "--episodes",
-        "episodes.json",
-        "--manifest",
-        "split.json",
-        "--take",
-        "1",
-    ];
-    assert_eq!(ask(0, &cohort)["counts"]["selected"], 1);
-    assert_eq!(
-        ask(
-            0,
-            &[
-                "synth",
-                "--out",
-                "data",
-                "--episodes",
-                "1",
-                "--seed",
-                "11",
-                "--size",
-                "56x42",
-                "--frames",
-                "17"
-            ]
-        )["dataset"]["written"],
-        0
-    );
-
-    let weights = "data/compact-stage1.safetensors";
-    assert!(ask(0, &["weights", "list", weights])["elements"].as_u64().unwrap() > 1_000_000);
-    assert!(ask(0, &["weights", "verify", weights]).is_object());
-    assert!(!ask(0, &["weights", "fetch"]).as_array().unwrap().is_empty());
-    assert_eq!(
-        ask(
-            0,
-            &["weights", "generate", "--out", "seeded.safetensors", "--numbers", "f16"]
-        )["seed"],
-        73
-    );
-    let import = [
-        "weights",
-        "import",
-        weights,
-        "--out",
-        "imported.safetensors",
-        "--configuration",
-        "compact-sweep",
-    ];
-    assert!(ask(0, &import)["tensors"].as_u64().unwrap() > 100);
-    let listed = ask(0, &["weights", "list", weights]);
-    with_low_rank_updates(&workspace.path(weights), &workspace.path("updated.safetensors"));
-    let tensors = |value: &Value| value["tensors"].as_array().unwrap().len();
-    let updated = ask(0, &["weights", "list", "updated.safetensors"]);
-    assert!(tensors(&updated) > tensors(&listed));
-    let merge = ["weights", "merge", "updated.safetensors", "--out", "merged.safetensors"];
-    assert_eq!(ask(0, &merge), json!({"out": "merged.safetensors"}));
-    // Folded in: the tensors of a plain checkpoint again, with its provenance told.
-    let merged = ask(0, &["weights", "list", "merged.safetensors"]);
-    assert_eq!(merged["tensors"], listed["tensors"]);
-    let provenance = merged["metadata"]["rogs.provenance"].as_str().unwrap();
-    assert!(provenance.ends_with("low-rank updates merged"), "{provenance}");
-    assert_eq!(ask(0, &["weights", "verify", "merged.safetensors"])["good"], true);
-    let average = [
-        "weights",
-        "average",
-        "merged.safetensors",
-        weights,
-        "--shares",
-        "3,1",
-        "--out",
-        "average.safetensors",
-    ];
-    let shares = json!([["merged.safetensors", 3.0], [weights, 1.0]]);
-    assert_eq!(
-        ask(0, &average),
-        json!({"out": "average.safetensors", "inputs": shares})
-    );
-    assert_eq!(ask(0, &["weights", "verify", "average.safetensors"])["good"], true);
-    assert!(ask(0, &["doctor"]).as_array().unwrap().len() >= 5);
-    assert!(ask(0, &["schema"])["properties"].is_object());
-    assert!(
-        ask(0, &["completions", "bash"])["script"]
-            .as_str()
-            .unwrap()
-            .contains("complete")
-    );
-    assert!(ask(0, &["man", "--out", "man"]).as_array().unwrap().len() > 20);
-
-    // The demo takes long: it has a test of its own.
-    seen.insert("rogs-demo".to_owned());
-    let all: BTreeSet<String> = commands()
-        .into_iter()
-        .filter(|name| !GROUPS.contains(&name.as_str()))
-        .collect();
-    assert_eq!(seen, all, "a command without a check of its JSON");
-}
-
-/// Copies a Stage-1 checkpoint and gives its attention layers low-rank updates of rank 1.
-fn with_low_rank_updates(from: &Path, to: &Path) {
-    let bytes = std::fs::read(from).unwrap();
-    let (length, rest) = bytes.split_first_chunk::<8>().unwrap();
-    let (header, data) = rest.split_at(u64::from_le_bytes(*length) as usize);
-    let mut header: serde_json::Map<String, Value> = serde_json::from_slice(header).unwrap();
-    let mut data = data.to_vec();
-    let layers: Vec<(String, Value)> = header
-        .iter()
-        .filter(|(name, _)| name.contains("_blocks.") && name.starts_with("backbone.backbone."))
-        .filter_map(|(name, tensor)| Some((name.strip_suffix(".weight")?.to_owned(), tensor["shape"].clone())))
-        .filter(|(layer, _)| layer.ends_with(".attn.qkv") || layer.ends_with(".attn.proj"))
-        .collect();
-    assert!(!layers.is_empty());
-    for (layer, shape) in layers {
-        for (name, shape) in [("lora_A", json!([1, shape[1]])), ("lora_B", json!([shape[0], 1]))] {
-            let begin = data.len();
-            let count = shape[0].as_u64().unwrap() * shape[1].as_u64().unwrap();
-            data.extend((0..count).flat_map(|_| 0.01_f32.to_le_bytes()));
-            header.insert(
-                format!("{layer}.{name}.weight"),
-                json!({"dtype": "F32", "shape": shape, "data_offsets": [begin, data.len()]}),
-            );
-        }
-    }
-    let header = serde_json::to_vec(&header).unwrap();
-    let length = (header.len() as u64).to_le_bytes();
-    std::fs::write(to, [&length[..], &header, &data].concat()).unwrap();
-}
-
-#[test]
-#[ignore = "long: the demo"]
-fn the_demo_prints_one_json_value() {
-    let workspace = Workspace::small(1);
-    let (code, value) = workspace.rogs_json(&["demo", "--out", "demo", "--episodes", "1", "--json"]);
-    assert_eq!(code, Some(0), "{value:#}");
-    assert!(value["table"].is_object() && Path::new(value["report"].as_str().unwrap()).exists());
 }
 
 /// Checks an exit code and that what is said lies where `docs/exit-codes.md` says.
@@ -485,7 +221,13 @@ fn shells_complete_commands_and_options() {
             assert!(script.contains(word), "{shell}: `{word}` is not completed");
         }
     }
-    // What bash itself says of its script.
+    let output = Command::new(ROGS).args(["completions", "csh"]).output().unwrap();
+    ends(&output, 2, "bash");
+}
+
+#[needs(bash)]
+#[test]
+fn bash_completes_with_its_script() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("rogs.bash");
     std::fs::write(
@@ -501,13 +243,8 @@ fn shells_complete_commands_and_options() {
         "source '{}'; COMP_WORDS=(rogs pl); COMP_CWORD=1; _rogs rogs pl rogs; echo \"${{COMPREPLY[*]}}\"",
         path.display()
     );
-    let Ok(output) = Command::new("bash").args(["-c", &ask]).output() else {
-        eprintln!("skipped: no bash here");
-        return;
-    };
+    let output = Command::new("bash").args(["-c", &ask]).output().unwrap();
     assert_eq!(text(&output.stdout).trim(), "plan", "{}", text(&output.stderr));
-    let output = Command::new(ROGS).args(["completions", "csh"]).output().unwrap();
-    ends(&output, 2, "bash");
 }
 
 #[test]
@@ -516,10 +253,10 @@ fn the_published_schema_is_that_of_the_program_and_knows_every_parameter() {
     assert!(output.status.success(), "{}", text(&output.stderr));
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../manifests");
     let file = root.join("manifest.schema.json");
-    if std::env::var_os("UPDATE_SNAPSHOTS").is_some() {
+    if std::env::var_os("UPDATE_EXPECT").is_some() {
         std::fs::write(&file, &output.stdout).unwrap();
     }
-    let published = std::fs::read(&file).expect("manifests/manifest.schema.json; UPDATE_SNAPSHOTS=1 writes it");
+    let published = std::fs::read(&file).expect("manifests/manifest.schema.json; UPDATE_EXPECT=1 writes it");
     let mut schema: Value = serde_json::from_slice(&output.stdout).unwrap();
     let mut published: Value = serde_json::from_slice(&published).unwrap();
     // What is allowed must agree; words may be older.
@@ -527,7 +264,7 @@ fn the_published_schema_is_that_of_the_program_and_knows_every_parameter() {
     without_words(&mut published);
     assert!(
         published == schema,
-        "manifests/manifest.schema.json is old: UPDATE_SNAPSHOTS=1 cargo test --workspace --test command_line schema"
+        "manifests/manifest.schema.json is old: UPDATE_EXPECT=1 cargo test --workspace --test command_line schema"
     );
     let mut references = 0;
     every_reference(&schema, &mut |reference| {

@@ -5,6 +5,7 @@ mod support;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use rogs_needs::needs;
 use support::{ROGS, Workspace};
 
 /// Output files of one clip of the main run.
@@ -127,9 +128,9 @@ fn one_corrupt_episode_among_three() {
 }
 
 /// Kills the whole process group of a run at ten stages of its progress, goes on, and compares with an undisturbed run.
-#[test]
 #[cfg(unix)]
-#[ignore = "long: ten kills and resumes with 1 and with 2 threads"]
+#[needs(long = "ten kills and resumes with 1 and with 2 threads")]
+#[test]
 fn killed_runs_resume_to_the_same_bytes() {
     use std::os::unix::process::CommandExt as _;
 

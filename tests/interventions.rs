@@ -5,6 +5,7 @@ mod support;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use rogs_needs::needs;
 use rogs_schemas::read_record;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::Field;
@@ -40,8 +41,8 @@ fn fields(workspace: &Workspace, run: &str) -> BTreeMap<PathBuf, String> {
     paths.map(numbers).collect()
 }
 
+#[needs(long = "an episode lifted in ten ways")]
 #[test]
-#[ignore = "long: an episode lifted in ten ways"]
 fn every_intervention_has_a_field_of_its_own_and_shares_what_is_before_it() {
     let workspace = Workspace::with_episodes(1);
     let more = variants();

@@ -5,6 +5,7 @@ mod support;
 
 use std::path::Path;
 
+use rogs_needs::needs;
 use rogs_schemas::read_record;
 use rogs_schemas::records::clip::{Clip, time_of_frame};
 use rogs_schemas::records::field::Field;
@@ -31,8 +32,8 @@ fn row<'a>(table: &'a Value, method: &str) -> &'a Value {
         .unwrap_or_else(|| panic!("no row `{method}`: {table:#}"))
 }
 
+#[needs(long = "two episodes through every stage, twice")]
 #[test]
-#[ignore = "long: two episodes through every stage, twice"]
 fn a_field_handed_in_as_files_has_the_scores_of_the_field() {
     let workspace = Workspace::with_episodes(2);
     workspace.manifest("predictions.toml", "run");

@@ -9,6 +9,7 @@ mod cluster;
 use std::process::Command;
 
 use cluster::Cluster;
+use rogs_needs::needs;
 use serde_json::{Value, json};
 use support::{ROGS, Workspace};
 
@@ -35,10 +36,10 @@ fn submit_and_wait(workspace: &Workspace, cluster: &Cluster, manifest: &str) -> 
     submission
 }
 
+#[needs(slurm, long = "starts a Slurm on this host and runs all stages on it")]
 #[test]
-#[ignore = "long: starts a Slurm on this host and runs all stages on it"]
 fn real_stages_through_slurm_give_a_report_and_the_bytes_of_a_local_run() {
-    let Some(turn) = Cluster::get() else { return };
+    let turn = Cluster::get();
     let workspace = Workspace::small(2);
     workspace.manifest("cluster.toml", "cluster");
     let memory: String = STAGES.iter().map(|stage| format!("{stage} = \"1500 MiB\"\n")).collect();

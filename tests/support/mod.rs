@@ -26,10 +26,15 @@ impl Workspace {
         Self::of_size(episodes, "56x42", "17")
     }
 
-    fn of_size(episodes: usize, size: &str, frames: &str) -> Self {
-        let workspace = Self {
+    /// An empty folder.
+    pub(crate) fn empty() -> Self {
+        Self {
             folder: tempfile::tempdir().unwrap(),
-        };
+        }
+    }
+
+    fn of_size(episodes: usize, size: &str, frames: &str) -> Self {
+        let workspace = Self::empty();
         let dataset = workspace.path("data");
         let made = Command::new(ROGS)
             .args([

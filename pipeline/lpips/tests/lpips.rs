@@ -1,11 +1,13 @@
 //! LPIPS against the values of the `lpips` package for two trunks of generated weights with the real heads.
-//! `cargo test -p rogs-lpips --features tensors,pytorch --test lpips -- --nocapture` prints the worst errors; `--ignored` adds the full trunk.
+//! `cargo test -p rogs-lpips --features tensors,pytorch --test lpips -- --nocapture` prints the worst errors;
+//! `ROGS_LONG_TESTS=1` adds the full trunk.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use burn::tensor::{Device, Tensor};
 use rogs_lpips::{Lpips, LpipsTensors, LpipsWeights};
+use rogs_needs::{needs, shared};
 use rogs_tensors::parameters::{from_host, to_host};
 use rogs_weights::ParameterSource;
 use rogs_weights::TensorFile;
@@ -13,18 +15,9 @@ use serde_json::Value;
 
 const PAIRS: [&str; 4] = ["time_gap", "blur", "noise", "other_view"];
 
-/// The folder with the golden values, or why there is none.
-fn data() -> Option<PathBuf> {
-    let shared = std::env::var_os("ROGS_SHARED").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared"),
-        PathBuf::from,
-    );
-    let folder = shared.join("data/lpips");
-    if folder.join("golden.json").exists() {
-        return Some(folder);
-    }
-    println!("skipped: no golden values in {}", folder.display());
-    None
+/// The folder with the golden values.
+fn data() -> PathBuf {
+    shared!("data/lpips")
 }
 
 fn golden(folder: &Path) -> Value {
@@ -72,17 +65,19 @@ fn check(network: &Lpips, folder: &Path, golden: &Value, tolerance: f64) {
     assert!(worst < tolerance, "{worst}");
 }
 
+#[needs(shared)]
 #[test]
 fn the_narrow_trunk_agrees_with_the_package() {
-    let Some(folder) = data() else { return };
+    let folder = data();
     let network = Lpips::open(&folder.join("lpips_hash_div8.safetensors")).unwrap();
     assert_eq!(network.description(), "lpips_hash_div8.safetensors");
     check(&network, &folder, &golden(&folder)["models"]["hash_div8"], 2e-6);
 }
 
+#[needs(shared)]
 #[test]
 fn tensors_agree_with_the_kernels_and_give_gradients() {
-    let Some(folder) = data() else { return };
+    let folder = data();
     let weights = LpipsWeights::open(&folder.join("lpips_hash_div8.safetensors")).unwrap();
     let device = Device::flex().autodiff();
     let network = LpipsTensors::new(&weights, &device);
@@ -105,10 +100,10 @@ fn tensors_agree_with_the_kernels_and_give_gradients() {
 }
 
 /// The full widths with generated weights (the real trunk is the user's to bring).
+#[needs(shared, long = "16 passes of the full VGG16")]
 #[test]
-#[ignore = "long: 16 passes of the full VGG16"]
 fn the_full_trunk_agrees_with_the_package() {
-    let Some(folder) = data() else { return };
+    let folder = data();
     let golden = golden(&folder);
     let network = Lpips::new(full_trunk(&folder, &golden));
     check(&network, &folder, &golden["models"]["hash_full"], 2e-6);
@@ -159,9 +154,10 @@ fn generated(stream: u64, count: usize, factor: f64) -> Vec<f32> {
     (0..count as u64).map(value).collect()
 }
 
+#[needs(shared)]
 #[test]
 fn what_cannot_be_compared_is_refused() {
-    let Some(folder) = data() else { return };
+    let folder = data();
     let network = Lpips::open(&folder.join("lpips_hash_div8.safetensors")).unwrap();
     assert!(network.features(&[0.0; 30], 2, 5).is_err());
     let small = network.features(&[0.5; 16 * 16 * 3], 16, 16).unwrap();

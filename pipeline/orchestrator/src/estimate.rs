@@ -66,10 +66,11 @@ pub fn estimate(plan: &Plan, options: &RunOptions) -> Result<Estimate> {
     };
     let nodes: Vec<NodeEstimate> = (0..plan.nodes.len()).map(node).collect();
     let sum = |value: fn(&StageCost) -> f64| -> Option<f64> {
-        let to_do = nodes.iter().filter(|node| node.todo > 0);
-        to_do
-            .map(|node| Some(value(node.cost.as_ref()?) * node.todo as f64))
-            .sum()
+        let mut to_do = nodes.iter().filter(|node| node.todo > 0);
+        // Not `sum`, whose value of nothing is -0.
+        to_do.try_fold(0.0, |sum, node| {
+            Some(sum + value(node.cost.as_ref()?) * node.todo as f64)
+        })
     };
     let parallel = options.workers.min(plan.clips.len()).max(1) as f64;
     Ok(Estimate {

@@ -8,6 +8,7 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use common::{Workspace, example, walk};
+use rogs_needs::needs;
 use rogs_orchestrator::status;
 
 /// A small generator, so that rounds differ and can be repeated.
@@ -197,8 +198,8 @@ fn killed_runs_resume_to_the_same_bytes() {
     kill_loop(5, 2);
 }
 
+#[needs(long = "100 rounds of kills")]
 #[test]
-#[ignore = "long: 100 rounds of kills"]
 fn a_hundred_kills_lose_nothing() {
     kill_loop(50, 1);
     kill_loop(50, 2);

@@ -2,10 +2,10 @@
 
 mod common;
 
-use std::path::Path;
 use std::process::Command;
 
 use common::{Workspace, example, programs};
+use expect_test::expect_file;
 use rogs_orchestrator::{Exit, diff, export, gc, logs, slurm, status};
 
 fn run_commands(commands: &[Vec<String>]) -> Vec<i32> {
@@ -112,13 +112,7 @@ fn a_dry_run_prints_the_scripts_and_touches_nothing() {
     let submission = slurm::submit(&prepared, Some(&finally), true).unwrap();
     assert!(!workspace.run_folder().exists());
     let text = plain(&submission.text(), &workspace);
-    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/slurm.txt");
-    if std::env::var_os("UPDATE_SNAPSHOTS").is_some() {
-        std::fs::create_dir_all(golden.parent().unwrap()).unwrap();
-        std::fs::write(&golden, &text).unwrap();
-    }
-    let expected = std::fs::read_to_string(&golden).expect("tests/golden/slurm.txt; UPDATE_SNAPSHOTS=1 writes it");
-    assert_eq!(text, expected);
+    expect_file!["golden/slurm.txt"].assert_eq(&text);
 }
 
 #[test]

@@ -9,6 +9,7 @@ use std::process::{Command, Output, Stdio};
 use std::time::{Duration, SystemTime};
 
 use common::{Workspace, example, walk};
+use rogs_needs::needs;
 use rogs_orchestrator::{Exit, gc, ledger, status};
 use rogs_schemas::ledger::{Attempt, Failure, Outcome};
 use rogs_schemas::protocol::FailureCode;
@@ -116,14 +117,14 @@ fn an_operation_that_fails_or_a_process_that_dies_at_it_loses_nothing() {
     assert!(strike(&["EIO", "abort"], 1) >= 2 * KINDS.len() as u32 - 2);
 }
 
+#[needs(long = "every file operation of a run fails in eight ways")]
 #[test]
-#[ignore = "long: every file operation of a run fails in eight ways"]
 fn any_operation_may_fail_in_any_way() {
     let struck = strike(
         &["EIO", "ENOSPC", "EDQUOT", "EINTR", "EMFILE", "abort", "+EIO", "+ENOSPC"],
         40,
     );
-    eprintln!("{struck} runs were struck");
+    println!("{struck} runs were struck");
     assert!(struck > 100, "{struck}");
 }
 
@@ -131,19 +132,14 @@ fn any_operation_may_fail_in_any_way() {
 struct SmallDisk(PathBuf);
 
 impl SmallDisk {
-    fn mount(at: PathBuf, size: &str) -> Option<Self> {
+    fn mount(at: PathBuf, size: &str) -> Self {
         std::fs::create_dir_all(&at).unwrap();
         let mounted = Command::new("mount")
             .args(["-t", "tmpfs", "-o", &format!("size={size}"), "tmpfs"])
             .arg(&at)
-            .stderr(Stdio::null())
             .status();
-        if mounted.is_ok_and(|status| status.success()) {
-            Some(Self(at))
-        } else {
-            eprintln!("skipped: a small file system cannot be mounted here");
-            None
-        }
+        assert!(mounted.unwrap().success(), "a small file system cannot be mounted here");
+        Self(at)
     }
 
     fn grow(&self, size: &str) {
@@ -165,6 +161,7 @@ impl Drop for SmallDisk {
     }
 }
 
+#[needs(mount)]
 #[test]
 fn a_full_disk_fails_with_a_hint_and_a_larger_one_goes_on() {
     let undisturbed = Workspace::new();
@@ -172,9 +169,7 @@ fn a_full_disk_fails_with_a_hint_and_a_larger_one_goes_on() {
     let expected = undisturbed.outputs();
     let workspace = Workspace::new();
     // From too small for anything to too small for the last outputs.
-    let Some(disk) = SmallDisk::mount(workspace.run_folder(), "8k") else {
-        return;
-    };
+    let disk = SmallDisk::mount(workspace.run_folder(), "8k");
     let mut failed = 0;
     for size in ["8k", "16k", "32k", "64k", "96k"] {
         disk.grow(size);
@@ -353,12 +348,11 @@ fn inputs_may_be_read_only_and_are_left_as_they_are() {
     );
 }
 
+#[needs(mount)]
 #[test]
 fn a_file_system_that_is_mounted_read_only_is_enough_for_inputs_and_named_where_a_run_shall_lie() {
     let workspace = Workspace::new();
-    let Some(disk) = SmallDisk::mount(workspace.path("episodes"), "1m") else {
-        return;
-    };
+    let disk = SmallDisk::mount(workspace.path("episodes"), "1m");
     // The mount hides the episodes that were there.
     for (name, text) in [("a", "one"), ("b", "two"), ("c", "three")] {
         workspace.episode(name, text);

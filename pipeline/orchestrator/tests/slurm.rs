@@ -8,6 +8,7 @@ use std::process::Command;
 
 use cluster::{Cluster, Turn, wait_until};
 use common::{Workspace, example, programs, walk};
+use rogs_needs::needs;
 use rogs_orchestrator::{Exit, export, gc, status};
 
 /// One clip a shard, so that shard `i` is clip `a`, `b`, `c`; every stage small, `lift` with a pretended GPU.
@@ -39,16 +40,15 @@ impl Submitted {
 }
 
 impl Site {
-    /// `None` where there is no Slurm; the reason is printed.
-    fn new() -> Option<Self> {
-        let turn = Cluster::get()?;
+    fn new() -> Self {
+        let turn = Cluster::get();
         let workspace = Workspace::new();
         workspace.manifest(SLURM);
-        Some(Self {
+        Self {
             workspace,
             control: tempfile::tempdir().unwrap(),
             turn,
-        })
+        }
     }
 
     /// Submits what is left, in a process with this cluster's environment; `hold` as in `examples/toy_pipeline.rs`.
@@ -108,10 +108,10 @@ impl Site {
     }
 }
 
+#[needs(slurm, long = "starts a Slurm on this host")]
 #[test]
-#[ignore = "long: starts a Slurm on this host"]
 fn slurm_local_and_exported_plans_give_the_same_bytes() {
-    let Some(site) = Site::new() else { return };
+    let site = Site::new();
     let submitted = site.submit_and_wait();
     assert_eq!((submitted.ids.len(), &submitted.shards[..]), (7, &[0, 1, 2][..]));
     let status = site.status();
@@ -153,10 +153,10 @@ fn slurm_local_and_exported_plans_give_the_same_bytes() {
     assert!(exported.outputs() == expected, "an exported plan differs from local");
 }
 
+#[needs(slurm, long = "starts a Slurm on this host")]
 #[test]
-#[ignore = "long: starts a Slurm on this host"]
 fn one_corrupt_episode_leaves_the_others_alone_and_the_next_submission_is_sparse() {
-    let Some(site) = Site::new() else { return };
+    let site = Site::new();
     site.workspace.episode("b", "fail@lift");
     let submitted = site.submit_and_wait();
     let status = site.status();
@@ -195,10 +195,10 @@ fn one_corrupt_episode_leaves_the_others_alone_and_the_next_submission_is_sparse
     assert!(others.clone().count() == 14 && others.into_iter().all(|file| after.contains(file)));
 }
 
+#[needs(slurm, long = "starts a Slurm on this host")]
 #[test]
-#[ignore = "long: starts a Slurm on this host"]
 fn a_killed_task_loses_one_unit_and_nothing_done_is_made_again() {
-    let Some(site) = Site::new() else { return };
+    let site = Site::new();
     let submitted = site.submit("b@lift@begin");
     let worker = site.held();
     assert!(
@@ -231,10 +231,10 @@ fn a_killed_task_loses_one_unit_and_nothing_done_is_made_again() {
     assert!(site.workspace.outputs() == expected.outputs());
 }
 
+#[needs(slurm, long = "starts a Slurm on this host")]
 #[test]
-#[ignore = "long: starts a Slurm on this host"]
 fn a_drained_task_ends_with_75_leaves_nothing_behind_and_goes_on() {
-    let Some(site) = Site::new() else { return };
+    let site = Site::new();
     let submitted = site.submit("b@conditioning@begin");
     site.held();
     let element = format!("{}_1", submitted.id("conditioning"));
@@ -257,10 +257,10 @@ fn a_drained_task_ends_with_75_leaves_nothing_behind_and_goes_on() {
     );
 }
 
+#[needs(slurm, long = "starts a Slurm on this host")]
 #[test]
-#[ignore = "long: starts a Slurm on this host"]
 fn a_requeued_task_goes_on_by_itself_and_keeps_its_first_log() {
-    let Some(site) = Site::new() else { return };
+    let site = Site::new();
     let submitted = site.submit("b@lift@begin");
     let worker = site.held();
     let element = format!("{}_1", submitted.id("lift"));
@@ -284,10 +284,10 @@ fn a_requeued_task_goes_on_by_itself_and_keeps_its_first_log() {
     assert!(log.contains("1 made"), "`{log}`");
 }
 
+#[needs(slurm, long = "starts a Slurm on this host")]
 #[test]
-#[ignore = "long: starts a Slurm on this host"]
 fn a_controller_and_nodes_that_die_and_come_back_cost_nothing() {
-    let Some(site) = Site::new() else { return };
+    let site = Site::new();
     let submitted = site.submit("b@lift@begin");
     site.held();
     site.turn.cluster.crash();
@@ -310,10 +310,10 @@ fn a_controller_and_nodes_that_die_and_come_back_cost_nothing() {
     assert!(site.workspace.outputs() == expected.outputs());
 }
 
+#[needs(slurm, long = "starts a Slurm on this host")]
 #[test]
-#[ignore = "long: starts a Slurm on this host"]
 fn a_shard_that_runs_out_of_memory_gets_more_the_next_time() {
-    let Some(site) = Site::new() else { return };
+    let site = Site::new();
     site.workspace.episode("c", "memory@lift");
     let script = site.workspace.run_folder().join("slurm/lift.sbatch");
     let asked = || {
@@ -335,10 +335,10 @@ fn a_shard_that_runs_out_of_memory_gets_more_the_next_time() {
     assert_eq!(tries, [("150M", 2), ("300M", 2), ("600M", 3)]);
 }
 
+#[needs(slurm, long = "starts a Slurm on this host")]
 #[test]
-#[ignore = "long: starts a Slurm on this host"]
 fn a_unit_whose_predecessor_vanished_names_the_input_it_lacks() {
-    let Some(site) = Site::new() else { return };
+    let site = Site::new();
     site.submit_and_wait();
     let run = site.workspace.run_folder();
     for file in ["conditioning.r4c", "field-1.r4c"] {

@@ -4,6 +4,7 @@ mod common;
 
 use std::collections::BTreeMap;
 
+use rogs_needs::{needs, shared};
 use rogs_robot::{JointState, RobotModel};
 use rogs_schemas::records::robot::RobotSpec;
 use serde_json::Value;
@@ -17,8 +18,8 @@ fn numbers(value: &Value) -> Vec<f64> {
         .collect()
 }
 
-fn recorded_states(model: &RobotModel) -> Option<Vec<(JointState, Value)>> {
-    let golden = std::fs::read_to_string(common::shared("data/robots/fk_golden.json")?).unwrap();
+fn recorded_states(model: &RobotModel) -> Vec<(JointState, Value)> {
+    let golden = std::fs::read_to_string(shared!("data/robots/fk_golden.json")).unwrap();
     let golden: Value = serde_json::from_str(&golden).unwrap();
     let names: Vec<String> = (1..=7).map(|index| format!("panda_joint{index}")).collect();
     let state = |case: &Value| {
@@ -27,20 +28,15 @@ fn recorded_states(model: &RobotModel) -> Option<Vec<(JointState, Value)>> {
             .robot_state(&RobotSpec::default(), &names, &numbers(&case["joints"]), gripper)
             .unwrap()
     };
-    Some(
-        golden["cases"]
-            .as_array()
-            .unwrap()
-            .iter()
-            .map(|case| (state(case), case.clone()))
-            .collect(),
-    )
+    let cases = golden["cases"].as_array().unwrap();
+    cases.iter().map(|case| (state(case), case.clone())).collect()
 }
 
+#[needs(shared)]
 #[test]
 fn recorded_states_agree_for_every_link() {
-    let Some(model) = common::panda() else { return };
-    let Some(cases) = recorded_states(&model) else { return };
+    let model = common::panda();
+    let cases = recorded_states(&model);
     assert_eq!(cases.len(), 12);
     let (mut worst_translation, mut worst_rotation) = (0.0f64, 0.0f64);
     for (state, case) in &cases {
@@ -64,10 +60,11 @@ fn recorded_states_agree_for_every_link() {
     assert!(worst_translation < 1e-8 && worst_rotation < 1e-8);
 }
 
+#[needs(shared)]
 #[test]
 fn the_flange_pose_is_the_recorded_cartesian_position() {
-    let Some(model) = common::panda() else { return };
-    let Some(cases) = recorded_states(&model) else { return };
+    let model = common::panda();
+    let cases = recorded_states(&model);
     for (state, case) in &cases {
         let recorded = numbers(&case["cartesian_position"]);
         let flange = model.fk(state)[model.link_id("panda_link8").unwrap()];
@@ -84,10 +81,11 @@ fn the_flange_pose_is_the_recorded_cartesian_position() {
     }
 }
 
+#[needs(shared)]
 #[test]
 fn own_transforms_agree_with_the_k_crate() {
-    let Some(model) = common::panda() else { return };
-    let Some(cases) = recorded_states(&model) else { return };
+    let model = common::panda();
+    let cases = recorded_states(&model);
     let text = std::fs::read_to_string(&model.path).unwrap();
     let chain = k::Chain::<f64>::from(urdf_rs::read_from_string(&text).unwrap());
     for (state, _) in &cases {
@@ -119,9 +117,10 @@ fn own_transforms_agree_with_the_k_crate() {
     }
 }
 
+#[needs(shared)]
 #[test]
 fn the_table_form_follows_mimic_joints_and_names_its_errors() {
-    let Some(model) = common::panda() else { return };
+    let model = common::panda();
     let header: Vec<String> = ["panda_joint1", " finger_joint "].map(String::from).to_vec();
     let rows = rogs_robot::fk_json::fk_rows(&model, &header, [vec!["0.5", " 0.3"], vec!["0", "0"]]).unwrap();
     assert_eq!(rows.len(), 2);
@@ -145,9 +144,10 @@ fn the_table_form_follows_mimic_joints_and_names_its_errors() {
     assert!(error(&["finger_joint", "left_inner_finger_joint"], &["0.3", "0.3"]).contains("contradicts"));
 }
 
+#[needs(shared)]
 #[test]
 fn limits_are_reported_for_driven_joints_only() {
-    let Some(model) = common::panda() else { return };
+    let model = common::panda();
     let state = model
         .joint_state([("panda_joint4", 0.5), ("finger_joint", 0.3)])
         .unwrap();
@@ -156,9 +156,10 @@ fn limits_are_reported_for_driven_joints_only() {
     assert_eq!(model.joints[excesses[0].joint].name, "panda_joint4");
 }
 
+#[needs(shared)]
 #[test]
 fn another_base_link_moves_all_poses() {
-    let Some(model) = common::panda() else { return };
+    let model = common::panda();
     let state = model
         .joint_state([("panda_joint1", 0.5), ("panda_joint2", 0.3)])
         .unwrap();

@@ -1,14 +1,13 @@
 //! Readers of robots and meshes on random and damaged files: no panic, bounded memory, always a message.
 //! More cases with `PROPTEST_CASES=100000`.
 
-mod common;
-
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use proptest::prelude::*;
+use rogs_needs::{needs, shared};
 use rogs_robot::{Mesh, RobotModel};
 
 /// Counts live bytes, to see that no file makes a reader allocate much more than its size.
@@ -318,11 +317,10 @@ fn a_cycle_beside_the_tree_is_found() {
     assert!(load_robot(text.as_bytes()).unwrap_err().contains("cycle"));
 }
 
+#[needs(shared)]
 #[test]
 fn real_meshes_with_flipped_bytes_do_no_harm() {
-    let Some(folder) = common::shared("data/robots/panda_robotiq_2f85/meshes") else {
-        return;
-    };
+    let folder = shared!("data/robots/panda_robotiq_2f85/meshes");
     for name in ["collision/link5.stl", "visual/link7.dae"] {
         let path = folder.join(name);
         let original = std::fs::read(&path).unwrap();

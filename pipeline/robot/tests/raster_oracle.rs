@@ -4,6 +4,7 @@ mod common;
 
 use glam::DVec3;
 use rogs_geometry::{Base, Camera, Link, Pinhole, Pose};
+use rogs_needs::needs;
 use rogs_robot::raster::Renderer;
 use rogs_robot::{Mesh, MeshImage, MeshScene, RenderOptions};
 use rogs_schemas::Intrinsics;
@@ -194,9 +195,10 @@ fn robot_views(base_from_link8: Pose<Base, Link>) -> [Pose<Base, Camera>; 2] {
     [external, base_from_link8 * hand_eye]
 }
 
+#[needs(shared)]
 #[test]
 fn the_real_robot_agrees_with_the_ray_caster() {
-    let Some(model) = common::panda() else { return };
+    let model = common::panda();
     let scene = MeshScene::of_robot(&model, &RobotSpec::default()).unwrap();
     assert_eq!(scene.triangle_count(), 57_484);
     let angles = [0.0, -0.4, 0.0, -2.2, 0.0, 1.9, 0.7];

@@ -2,12 +2,23 @@
 
 mod common;
 
-use common::{goldens, worst};
+use common::{Golden, goldens, more_goldens, worst};
+use rogs_needs::needs;
 use rogs_splat::{Gradients, RenderGradient, backward_into, render, render_with_tape};
 
 #[test]
 fn gradients_match_automatic_differentiation() {
-    for golden in goldens() {
+    check_gradients(goldens());
+}
+
+#[needs(shared)]
+#[test]
+fn gradients_match_automatic_differentiation_in_every_reference_scene() {
+    check_gradients(more_goldens());
+}
+
+fn check_gradients(goldens: Vec<Golden>) {
+    for golden in goldens {
         let scene = golden.scene();
         let mut gradients = Gradients::zeros(&scene);
         for camera in 0..golden.cameras() {

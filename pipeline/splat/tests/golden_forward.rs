@@ -2,12 +2,23 @@
 
 mod common;
 
-use common::{goldens, worst};
+use common::{Golden, goldens, more_goldens, worst};
+use rogs_needs::needs;
 use rogs_splat::{Eligible, render, render_with_contributions};
 
 #[test]
 fn images_match_the_float64_reference() {
-    for golden in goldens() {
+    check_images(goldens());
+}
+
+#[needs(shared)]
+#[test]
+fn images_match_the_float64_reference_in_every_reference_scene() {
+    check_images(more_goldens());
+}
+
+fn check_images(goldens: Vec<Golden>) {
+    for golden in goldens {
         let scene = golden.scene();
         for camera in 0..golden.cameras() {
             let render = render(&scene, &golden.camera(camera), &golden.config(camera)).unwrap();
@@ -44,7 +55,17 @@ fn images_match_the_float64_reference() {
 
 #[test]
 fn contribution_sums_match_the_float64_reference() {
-    for golden in goldens() {
+    check_contributions(goldens());
+}
+
+#[needs(shared)]
+#[test]
+fn contribution_sums_match_the_float64_reference_in_every_reference_scene() {
+    check_contributions(more_goldens());
+}
+
+fn check_contributions(goldens: Vec<Golden>) {
+    for golden in goldens {
         let scene = golden.scene();
         for camera in 0..golden.cameras() {
             let (_, contributions) =

@@ -1,5 +1,4 @@
-//! The rasteriser on a graphics processor against the one on the processor. Mesa's software Vulkan counts as a device;
-//! without any the tests print why they are skipped.
+//! The rasteriser on a GPU against the one on the CPU. Mesa's software Vulkan counts as a GPU; without any the tests fail.
 #![cfg(feature = "gpu")]
 
 mod common;
@@ -8,25 +7,18 @@ mod random;
 #[path = "common/room.rs"]
 mod room;
 
-use common::{goldens, worst};
+use common::{Golden, goldens, more_goldens, worst};
+use rogs_needs::needs;
 use rogs_splat::{
     Colour, Eligible, Gaussians, GpuDevice, GpuScene, Gradients, Mode, PoseGradient, RasterCamera, RasterConfig,
     Render, RenderGradient, backward_views, gpu, render, render_views, render_views_with_contributions,
     render_views_with_tape,
 };
 
-/// The device, unless there is none.
-fn device() -> Option<GpuDevice> {
-    match GpuDevice::open() {
-        Ok(device) => {
-            println!("on {}", device.name());
-            Some(device)
-        }
-        Err(error) => {
-            println!("skipped: {error}");
-            None
-        }
-    }
+fn device() -> GpuDevice {
+    let device = GpuDevice::open().unwrap();
+    println!("on {}", device.name());
+    device
 }
 
 /// Compares images. A Gaussian whose alpha lies within rounding of a threshold may differ: `loose` pixels of a thousand may.
@@ -168,8 +160,18 @@ fn cameras(sizes: &[(u32, u32)]) -> Vec<RasterCamera> {
 
 #[test]
 fn golden_images_and_gradients() {
-    let Some(device) = device() else { return };
-    for golden in goldens() {
+    check_golden(goldens());
+}
+
+#[needs(shared)]
+#[test]
+fn golden_images_and_gradients_in_every_reference_scene() {
+    check_golden(more_goldens());
+}
+
+fn check_golden(goldens: Vec<Golden>) {
+    let device = device();
+    for golden in goldens {
         let scene = golden.scene();
         let on_device = GpuScene::upload(&device, &scene).unwrap();
         for camera in 0..golden.cameras() {
@@ -200,7 +202,7 @@ fn golden_images_and_gradients() {
 
 #[test]
 fn random_scenes_of_every_kind() {
-    let Some(device) = device() else { return };
+    let device = device();
     for (seed, degree, channels, mode) in [
         (1, None, 0, Mode::Classic),
         (2, Some(0), 3, Mode::Antialiased),
@@ -237,7 +239,7 @@ fn random_scenes_of_every_kind() {
 
 #[test]
 fn ties_in_depth_keep_the_order_of_the_indices() {
-    let Some(device) = device() else { return };
+    let device = device();
     let n = 300;
     let scene = Gaussians {
         means: [0.0, 0.0, 2.0].repeat(n),
@@ -257,7 +259,7 @@ fn ties_in_depth_keep_the_order_of_the_indices() {
 
 #[test]
 fn contributions_agree() {
-    let Some(device) = device() else { return };
+    let device = device();
     let scene = random::scene(1200, 8, None, 0);
     let cameras = cameras(&[(50, 40), (50, 40), (31, 20)]);
     let config = RasterConfig::default();
@@ -305,7 +307,7 @@ fn contributions_agree() {
 
 #[test]
 fn senseless_gaussians_are_dropped_and_counted() {
-    let Some(device) = device() else { return };
+    let device = device();
     let mut scene = random::scene(400, 1, Some(1), 2);
     for (k, special) in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY].into_iter().enumerate() {
         scene.means[3 * (10 + k) + k] = special;
@@ -343,7 +345,7 @@ fn senseless_gaussians_are_dropped_and_counted() {
 
 #[test]
 fn empty_scenes_and_hidden_gaussians_give_the_background() {
-    let Some(device) = device() else { return };
+    let device = device();
     let config = RasterConfig {
         background: [0.25, 0.5, 0.75],
         ..RasterConfig::default()
@@ -373,7 +375,7 @@ fn empty_scenes_and_hidden_gaussians_give_the_background() {
 
 #[test]
 fn moved_gaussians_leave_earlier_tapes_alone() {
-    let Some(device) = device() else { return };
+    let device = device();
     let mut scene = random::scene(600, 9, None, 0);
     let cameras = cameras(&[(40, 30)]);
     let config = RasterConfig::default();
@@ -397,7 +399,7 @@ fn moved_gaussians_leave_earlier_tapes_alone() {
 
 #[test]
 fn small_buffers_split_views_and_refuse_what_does_not_fit() {
-    let Some(device) = device() else { return };
+    let device = device();
     let scene = random::scene(1500, 2, Some(1), 3);
     let cameras = cameras(&[(70, 50); 5]);
     let config = RasterConfig::default();
@@ -423,7 +425,7 @@ fn small_buffers_split_views_and_refuse_what_does_not_fit() {
 /// One pixel that many Gaussians share: a list far longer than a batch, and the stop inside it.
 #[test]
 fn many_gaussians_on_one_pixel() {
-    let Some(device) = device() else { return };
+    let device = device();
     let n = 60_000;
     let scene = Gaussians {
         means: (0..n)

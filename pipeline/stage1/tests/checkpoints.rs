@@ -7,6 +7,7 @@ use std::path::Path;
 
 use burn::tensor::{Device, Tensor};
 use rogs_geometry::Pose;
+use rogs_needs::needs;
 use rogs_stage1::{Attention, NetworkCamera, SourceFrames, Stage1, Stage1Config, layout};
 use rogs_stage1::{
     ImportRequest, Origin, generate_stage1, import_stage1, merge_lora, open_stage1, stage1_metadata, verify_stage1,
@@ -377,8 +378,8 @@ fn damaged_files_are_refused_with_a_reason() {
     assert!(open_any(&folder.path().join("bad.pth")).is_err());
 }
 
+#[needs(long = "writes and imports 4 GB and 2 GB of weights")]
 #[test]
-#[ignore = "long: writes and imports 4 GB and 2 GB of weights"]
 fn a_full_size_file_imports_and_verifies() {
     let folder = tempfile::tempdir().unwrap();
     let (input, output) = (

@@ -1,43 +1,35 @@
-//! The networks on a graphics processor against the reference vectors. Mesa's software Vulkan counts as a device; without
-//! any the tests print why they are skipped.
+//! The networks on a GPU against the reference vectors. Mesa's software Vulkan counts as a GPU; without any the tests fail.
 #![cfg(feature = "gpu")]
 
 mod support;
 
 use burn::tensor::{Device, FloatDType, Tensor};
 use rogs_field::MotionGates;
+use rogs_needs::needs;
 use rogs_stage1::decode::gate_attributes;
 use rogs_stage1::head::FkBranch;
 use rogs_tensors::device;
 use support::network::{ATTRIBUTES, frames, run};
 use support::{Golden, close, host, scaled_tolerance, tiny, worst};
 
-/// The device, unless there is none.
-fn device() -> Option<Device> {
-    match device::open("gpu") {
-        Ok(device) => {
-            println!(
-                "on {}; bf16 {}",
-                rogs_splat::GpuDevice::open().unwrap().name(),
-                device.supports_dtype(FloatDType::BF16)
-            );
-            assert!(!device::is_cpu(&device));
-            Some(device)
-        }
-        Err(error) => {
-            println!("skipped: {error}");
-            None
-        }
-    }
+fn device() -> Device {
+    let device = device::open("gpu").unwrap();
+    println!(
+        "on {}; bf16 {}",
+        rogs_splat::GpuDevice::open().unwrap().name(),
+        device.supports_dtype(FloatDType::BF16)
+    );
+    assert!(!device::is_cpu(&device));
+    device
 }
 
 /// Every output of the tiny Stage-1 network, at the tolerances of the processor.
+#[needs(shared)]
 #[test]
 fn stage1_full_forward() {
-    let Some(device) = device() else { return };
-    let (Some(golden), Some(network)) = (Golden::open("full_forward"), tiny(&device)) else {
-        return;
-    };
+    let device = device();
+    let golden = Golden::open("full_forward");
+    let network = tiny(&device);
     let check =
         |name: &str, found: &[f32]| close(name, found, golden.values(name), scaled_tolerance(golden.values(name)));
     let input = frames(&golden, &device);
@@ -89,14 +81,14 @@ fn stage1_full_forward() {
 }
 
 /// The FK branch, and attention within cameras, which cuts the global blocks into groups.
+#[needs(shared)]
 #[test]
 fn stage1_branches() {
-    let Some(device) = device() else { return };
+    let device = device();
     let flex = Device::flex();
-    let (Some(forward), Some(on_cpu), Some(on_device)) = (Golden::open("full_forward"), tiny(&flex), tiny(&device))
-    else {
-        return;
-    };
+    let forward = Golden::open("full_forward");
+    let on_cpu = tiny(&flex);
+    let on_device = tiny(&device);
     let encode = |network: &rogs_stage1::Stage1, device: &Device| {
         let mut input = frames(&forward, device);
         input.attention = rogs_stage1::Attention::WithinCamera(vec![0, 0, 1, 1]);
@@ -112,9 +104,7 @@ fn stage1_branches() {
         );
     }
 
-    let Some(golden) = Golden::open("project_fk_conditioning") else {
-        return;
-    };
+    let golden = Golden::open("project_fk_conditioning");
     let branch = FkBranch::load(&golden.parameters("fk_branch", &device).scope("fk_branch"), 32).unwrap();
     let found = host(branch.forward(golden.tensor("kappa", [4, 7, 28, 42], &device)));
     close("branch_out", &found, golden.values("branch_out"), 1e-5);

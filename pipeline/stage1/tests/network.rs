@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 
 use burn::tensor::{Device, Tensor};
 use rogs_field::{MotionGates, attributes};
+use rogs_needs::{needs, shared};
 use rogs_stage1::decode::{self, gate_attributes};
 use rogs_stage1::head::FkBranch;
 use rogs_stage1::{HeadKind, Precision, losses};
@@ -13,12 +14,12 @@ use rogs_tensors::parameters::Parameters;
 use support::network::{ATTRIBUTES, frames, run};
 use support::{Golden, close, host, scaled_tolerance, tiny, worst};
 
+#[needs(shared)]
 #[test]
 fn bf16_products_stay_near_the_reference() {
     let device = Device::flex();
-    let (Some(golden), Some(mut network)) = (Golden::open("full_forward"), tiny(&device)) else {
-        return;
-    };
+    let golden = Golden::open("full_forward");
+    let mut network = tiny(&device);
     network.precision = Precision::Bf16;
     let input = frames(&golden, &device);
     let encoded = network.encode(&input).unwrap();
@@ -45,12 +46,12 @@ fn bf16_products_stay_near_the_reference() {
     }
 }
 
+#[needs(shared)]
 #[test]
 fn full_forward() {
     let device = Device::flex();
-    let (Some(golden), Some(network)) = (Golden::open("full_forward"), tiny(&device)) else {
-        return;
-    };
+    let golden = Golden::open("full_forward");
+    let network = tiny(&device);
     let check =
         |name: &str, found: &[f32]| close(name, found, golden.values(name), scaled_tolerance(golden.values(name)));
     let input = frames(&golden, &device);
@@ -147,12 +148,11 @@ fn full_forward() {
     assert!(worst(&host(one), &host(all)) <= 1e-6, "splitting frames changes a head");
 }
 
+#[needs(shared)]
 #[test]
 fn motion_gate() {
     let device = Device::flex();
-    let Some(golden) = Golden::open("motion_gate") else {
-        return;
-    };
+    let golden = Golden::open("motion_gate");
     let map = |name: &str, channels| golden.tensor::<4>(name, [4, channels, 28, 42], &device);
     let join = |prefix: &str, suffix: &str| {
         Tensor::cat(
@@ -195,12 +195,12 @@ fn motion_gate() {
     }
 }
 
+#[needs(shared)]
 #[test]
 fn rasterizer_inputs() {
     let device = Device::flex();
-    let (Some(golden), Some(forward)) = (Golden::open("rasterizer_inputs"), Golden::open("full_forward")) else {
-        return;
-    };
+    let golden = Golden::open("rasterizer_inputs");
+    let forward = Golden::open("full_forward");
     let cameras = forward.cameras("in.C2W", "in.fxfycxcy");
     let (area, motion) = (28 * 42, forward.tensor::<5>("out.motion", [3, 4, 4, 28, 42], &device));
     let motion = host(motion.narrow(0, 1, 1).narrow(2, 0, 3));
@@ -243,14 +243,13 @@ fn scales_len(opacities: &[f32]) -> usize {
     3 * (opacities.len() - 1)
 }
 
+#[needs(shared)]
 #[test]
 fn full_grad() {
     let device = Device::flex().autodiff();
-    let (Some(golden), Some(forward), Some(mut network)) =
-        (Golden::open("full_grad"), Golden::open("full_forward"), tiny(&device))
-    else {
-        return;
-    };
+    let golden = Golden::open("full_grad");
+    let forward = Golden::open("full_forward");
+    let mut network = tiny(&device);
     // One input of the depth head's last ReLU (hidden unit 22) lies within rounding of 0, where its derivative jumps; the
     // reference is on the negative side. Any other change of this size gives the reference's gradients as well.
     let edge = "backbone.depth_head.scratch.output_conv2.0.bias";
@@ -304,7 +303,7 @@ fn full_grad() {
 #[test]
 fn losses_and_their_gradients() {
     let device = Device::flex().autodiff();
-    let Some(golden) = Golden::open("losses") else { return };
+    let golden = Golden::open("losses");
     for clip in 0..2 {
         let map = |name: &str| {
             golden
@@ -359,12 +358,11 @@ fn losses_and_their_gradients() {
     );
 }
 
+#[needs(shared)]
 #[test]
 fn project_fk_conditioning_branch() {
     let device = Device::flex();
-    let Some(golden) = Golden::open("project_fk_conditioning") else {
-        return;
-    };
+    let golden = Golden::open("project_fk_conditioning");
     let mut parameters = Parameters::new(&device);
     for name in golden.names().filter(|name| name.starts_with("fk_branch")) {
         parameters
@@ -417,6 +415,7 @@ fn project_fk_conditioning_branch() {
     }
 }
 
+#[needs(shared)]
 #[test]
 fn names_and_shapes_are_those_of_the_released_network() {
     let listed = |text: &str| -> BTreeMap<String, Vec<usize>> {
@@ -449,8 +448,7 @@ fn names_and_shapes_are_those_of_the_released_network() {
             .sum::<usize>(),
         1_041_147_254
     );
-    let Some(shared) = support::shared() else { return };
-    let read = |name: &str| std::fs::read_to_string(shared.join("golden/stage1").join(name)).unwrap();
+    let read = |name: &str| std::fs::read_to_string(shared!("golden/stage1").join(name)).unwrap();
     assert_eq!(full, listed(&read("state_dict_full.tsv")));
     assert_eq!(own(&support::tiny_config()), listed(&read("weights_tiny.tsv")));
 }

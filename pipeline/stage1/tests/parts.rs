@@ -6,6 +6,7 @@ use burn::tensor::{Device, Tensor};
 use rogs_field::attributes;
 use rogs_geometry::Pose;
 use rogs_kernels::RotaryTable;
+use rogs_needs::needs;
 use rogs_stage1::adapter::{LatentAdapter, to_token_cells};
 use rogs_stage1::geometry::encode_time;
 use rogs_stage1::positions::{head_positions, resample_positions, resampling_matrix};
@@ -16,7 +17,7 @@ use support::{Golden, close, host, tiny};
 
 #[test]
 fn geometry() {
-    let Some(golden) = Golden::open("geometry") else { return };
+    let golden = Golden::open("geometry");
     let cameras = golden.cameras("C2W", "fxfycxcy");
     let mut rays = Vec::new();
     for (index, camera) in cameras.iter().enumerate() {
@@ -60,9 +61,7 @@ fn geometry() {
 
 #[test]
 fn dino_pos_interp() {
-    let Some(golden) = Golden::open("dino_pos_interp") else {
-        return;
-    };
+    let golden = Golden::open("dino_pos_interp");
     let cases = [
         ("a.pos_embed_37x37", "a.out_11x20", 37, [11, 20]),
         ("b.pos_embed_5x5", "b.out_2x3", 5, [2, 3]),
@@ -91,9 +90,7 @@ fn dino_pos_interp() {
 
 #[test]
 fn dpt_pos_embed() {
-    let Some(golden) = Golden::open("dpt_pos_embed") else {
-        return;
-    };
+    let golden = Golden::open("dpt_pos_embed");
     let cases = [
         ("emb_11x20_c16_img154x280", 16, [11, 20], 280.0 / 154.0),
         ("emb_6x10_c8_img154x280", 8, [6, 10], 280.0 / 154.0),
@@ -112,9 +109,7 @@ fn dpt_pos_embed() {
 
 #[test]
 fn rope_head64() {
-    let Some(golden) = Golden::open("rope_head64") else {
-        return;
-    };
+    let golden = Golden::open("rope_head64");
     let device = Device::flex();
     let positions: Vec<[usize; 2]> = golden
         .values("pos")
@@ -129,9 +124,8 @@ fn rope_head64() {
 #[test]
 fn block_detail() {
     let device = Device::flex();
-    let (Some(golden), Some(network)) = (Golden::open("block_detail"), tiny(&device)) else {
-        return;
-    };
+    let golden = Golden::open("block_detail");
+    let network = tiny(&device);
     let block = network.aggregator().block("frame_blocks", 0).unwrap();
     let rotary = network.aggregator().rotary([2, 3]);
     let input = golden.tensor("x", [2, 13, 64], &device);
@@ -160,9 +154,8 @@ fn block_detail() {
 #[test]
 fn project_blocked_attention() {
     let device = Device::flex();
-    let (Some(golden), Some(network)) = (Golden::open("project_blocked_attention"), tiny(&device)) else {
-        return;
-    };
+    let golden = Golden::open("project_blocked_attention");
+    let network = tiny(&device);
     let tokens = golden.tensor::<3>("tokens_in", [4, 13, 64], &device);
     let cameras: Vec<u32> = golden
         .values("camera_of_frame")
@@ -208,9 +201,7 @@ fn project_blocked_attention() {
 
 #[test]
 fn activations() {
-    let Some(golden) = Golden::open("activations") else {
-        return;
-    };
+    let golden = Golden::open("activations");
     let each =
         |name: &str, function: fn(f32) -> f32| golden.values(name).iter().map(|&raw| function(raw)).collect::<Vec<_>>();
     close("color", &each("raw", attributes::colour), golden.values("color"), 1e-6);
@@ -262,16 +253,13 @@ fn activations() {
     );
 }
 
+#[needs(shared)]
 #[test]
 fn head_motion_head_by_stages() {
     let device = Device::flex();
-    let (Some(golden), Some(forward), Some(network)) = (
-        Golden::open("head_motion_head"),
-        Golden::open("full_forward"),
-        tiny(&device),
-    ) else {
-        return;
-    };
+    let golden = Golden::open("head_motion_head");
+    let forward = Golden::open("full_forward");
+    let network = tiny(&device);
     let encoded = network.encode(&support_frames(&forward, &device)).unwrap();
     let head = network.head(HeadKind::Motion).unwrap();
     close(
@@ -286,18 +274,18 @@ fn head_motion_head_by_stages() {
     });
 }
 
+#[needs(shared)]
 #[test]
 fn head_depth_and_splat_by_stages() {
     let device = Device::flex();
-    let (Some(forward), Some(network)) = (Golden::open("full_forward"), tiny(&device)) else {
-        return;
-    };
+    let forward = Golden::open("full_forward");
+    let network = tiny(&device);
     let encoded = network.encode(&support_frames(&forward, &device)).unwrap();
     for (kind, name, tolerance) in [
         (HeadKind::Depth, "head_depth_head", 1e-5),
         (HeadKind::Splat, "head_splat_head", 2e-5),
     ] {
-        let Some(golden) = Golden::open(name) else { return };
+        let golden = Golden::open(name);
         let head = network.head(kind).unwrap();
         check_stages(&golden, "", tolerance, |observe| {
             let _ = head.forward_observed(&head.projections(None), &encoded, observe);
@@ -308,16 +296,13 @@ fn head_depth_and_splat_by_stages() {
     }
 }
 
+#[needs(shared)]
 #[test]
 fn head_motion_splat_by_stages() {
     let device = Device::flex();
-    let (Some(forward), Some(golden), Some(network)) = (
-        Golden::open("full_forward"),
-        Golden::open("head_motion_splat_head"),
-        tiny(&device),
-    ) else {
-        return;
-    };
+    let forward = Golden::open("full_forward");
+    let golden = Golden::open("head_motion_splat_head");
+    let network = tiny(&device);
     let encoded = network.encode(&support_frames(&forward, &device)).unwrap();
     let head = network.head(HeadKind::MotionSplat).unwrap();
     close(
@@ -373,12 +358,11 @@ fn support_frames(golden: &Golden, device: &Device) -> rogs_stage1::SourceFrames
     }
 }
 
+#[needs(shared)]
 #[test]
 fn project_latent_adapter() {
     let device = Device::flex();
-    let Some(golden) = Golden::open("project_latent_adapter") else {
-        return;
-    };
+    let golden = Golden::open("project_latent_adapter");
     let parameters = golden.parameters("adapter.", &device);
     let adapter = LatentAdapter::new(parameters.scope("adapter"), 64, 4);
     let latent = golden.tensor::<4>("latent", [4, 48, 4, 6], &device);
@@ -406,9 +390,7 @@ fn project_latent_adapter() {
 #[test]
 fn adapter_distillation() {
     let device = Device::flex();
-    let Some(golden) = Golden::open("latent_adapter_io") else {
-        return;
-    };
+    let golden = Golden::open("latent_adapter_io");
     let number = |value: Tensor<1>| host(value)[0];
     let item = |name: &str, index: usize| {
         let whole = golden.tensor::<3>(name, [2, 12, 16], &device);
@@ -448,9 +430,8 @@ fn adapter_distillation() {
 #[test]
 fn project_lora() {
     let device = Device::flex().autodiff();
-    let (Some(golden), Some(network)) = (Golden::open("project_lora"), tiny(&device)) else {
-        return;
-    };
+    let golden = Golden::open("project_lora");
+    let network = tiny(&device);
     let name = "backbone.backbone.frame_blocks.0.attn";
     let mut parameters = network.parameters;
     for (layer, part) in [("qkv", "A"), ("qkv", "B"), ("proj", "A"), ("proj", "B")] {

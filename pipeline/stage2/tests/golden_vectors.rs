@@ -3,15 +3,17 @@
 mod support;
 
 use burn::tensor::Device;
+use rogs_needs::needs;
 use rogs_stage2::error_encoder::ColourLayout;
 use rogs_stage2::mv_attention::MultiViewAttention;
 use rogs_stage2::observation::{ObservationTrunkTail, TrunkTailConfig};
 use rogs_stage2::{Plane, RefinerConfig, ResNetFront, parameter_shapes};
 use support::{FEATURE, STATE, golden, updates};
 
+#[needs(shared)]
 #[test]
 fn resnet_front_gives_the_three_maps() {
-    let Some(golden) = golden("resnet18_front") else { return };
+    let golden = golden("resnet18_front");
     let front = ResNetFront::load(&golden.parameters(&Device::flex()), "encoder.update_feature", [64, 128]).unwrap();
     let images = golden.images("in.image");
     for (view, image) in images.iter().enumerate() {
@@ -30,16 +32,15 @@ fn resnet_front_gives_the_three_maps() {
 
 #[test]
 fn neighbour_attention_follows_the_released_blocks() {
-    let Some(golden) = golden("point_transformer") else {
-        return;
-    };
+    let golden = golden("point_transformer");
     updates::neighbour_blocks(&golden, &Device::flex());
 }
 
+#[needs(shared)]
 #[test]
 fn multi_view_attention_follows_the_released_block() {
     for (name, channels) in [("mv_lowres_attn_c32", 32), ("mv_lowres_attn_c48", 48)] {
-        let Some(golden) = golden(name) else { return };
+        let golden = golden(name);
         let block = MultiViewAttention::load(
             &golden.parameters(&Device::flex()),
             "encoder.update_error_attn.0",
@@ -60,11 +61,10 @@ fn multi_view_attention_follows_the_released_block() {
     }
 }
 
+#[needs(shared)]
 #[test]
 fn observation_trunk_tail_follows_the_released_modules() {
-    let Some(golden) = golden("observation_trunk_tail") else {
-        return;
-    };
+    let golden = golden("observation_trunk_tail");
     let parameters = golden.parameters(&Device::flex());
     let config = TrunkTailConfig {
         inputs: 20,
@@ -98,35 +98,29 @@ fn observation_trunk_tail_follows_the_released_modules() {
     );
 }
 
+#[needs(shared)]
 #[test]
 fn three_updates_with_colour_blocks_follow_the_released_loop() {
-    let Some(golden) = golden("update_loop_quarter") else {
-        return;
-    };
+    let golden = golden("update_loop_quarter");
     updates::released_loop(&golden, ColourLayout::Blocks, (8, 12), &Device::flex());
 }
 
+#[needs(shared)]
 #[test]
 fn three_updates_with_pixel_tokens_follow_the_released_loop() {
-    let Some(golden) = golden("update_loop_full") else {
-        return;
-    };
+    let golden = golden("update_loop_full");
     updates::released_loop(&golden, ColourLayout::Pixels, (16, 24), &Device::flex());
 }
 
 #[test]
 fn two_adapted_updates_follow_the_specification() {
-    let Some(golden) = golden("adapted_two_updates") else {
-        return;
-    };
+    let golden = golden("adapted_two_updates");
     updates::adapted_updates(&golden, &Device::flex());
 }
 
 #[test]
 fn parameter_names_and_shapes_are_those_of_the_released_refiner() {
-    let Some(table) = support::text("state_dict_full.tsv") else {
-        return;
-    };
+    let table = support::text("state_dict_full.tsv");
     let shapes = parameter_shapes(&RefinerConfig::preset("paper").unwrap());
     let mut listed = 0;
     for line in table.lines().skip(1) {

@@ -1,68 +1,57 @@
-//! The refiner on a GPU against the reference vectors. Mesa's software Vulkan counts as a device; without
-//! any the tests print why they are skipped.
+//! The refiner on a GPU against the reference vectors. Mesa's software Vulkan counts as a GPU; without any the tests fail.
 #![cfg(feature = "gpu")]
 
 #[allow(dead_code)]
 mod support;
 
 use burn::tensor::{Device, FloatDType};
+use rogs_needs::needs;
 use rogs_stage2::error_encoder::ColourLayout;
 use rogs_stage2::{Refiner, RefinerConfig, TokenGrid, TokenSet, seeded_parameters};
 use rogs_tensors::device;
 use support::updates;
 
-/// The device, unless there is none.
-fn device() -> Option<Device> {
-    match device::open("gpu") {
-        Ok(device) => {
-            println!(
-                "on {}; bf16 {}",
-                rogs_splat::GpuDevice::open().unwrap().name(),
-                device.supports_dtype(FloatDType::BF16)
-            );
-            assert!(!device::is_cpu(&device));
-            Some(device)
-        }
-        Err(error) => {
-            println!("skipped: {error}");
-            None
-        }
-    }
+fn device() -> Device {
+    let device = device::open("gpu").unwrap();
+    println!(
+        "on {}; bf16 {}",
+        rogs_splat::GpuDevice::open().unwrap().name(),
+        device.supports_dtype(FloatDType::BF16)
+    );
+    assert!(!device::is_cpu(&device));
+    device
 }
 
 #[test]
 fn neighbour_attention() {
-    let (Some(device), Some(golden)) = (device(), support::golden("point_transformer")) else {
-        return;
-    };
+    let device = device();
+    let golden = support::golden("point_transformer");
     updates::neighbour_blocks(&golden, &device);
 }
 
+#[needs(shared)]
 #[test]
 fn released_loops() {
-    let Some(device) = device() else { return };
+    let device = device();
     for (name, layout, size) in [
         ("update_loop_quarter", ColourLayout::Blocks, (8, 12)),
         ("update_loop_full", ColourLayout::Pixels, (16, 24)),
     ] {
-        if let Some(golden) = support::golden(name) {
-            updates::released_loop(&golden, layout, size, &device);
-        }
+        updates::released_loop(&support::golden(name), layout, size, &device);
     }
 }
 
 #[test]
 fn adapted_updates() {
-    let (Some(device), Some(golden)) = (device(), support::golden("adapted_two_updates")) else {
-        return;
-    };
+    let device = device();
+    let golden = support::golden("adapted_two_updates");
     updates::adapted_updates(&golden, &device);
 }
 
 /// The refiner as the stage runs it: kernels on the processor, framework operations on the device.
 #[test]
 fn refiner_updates_as_on_the_processor() {
-    let Some(device) = device() else { return };
+    let device = device();
     let config = RefinerConfig::preset("ci").unwrap();
     let grid = TokenGrid::new(vec![0], 12, 20, &config).unwrap();
     let noise = |count: usize, seed: usize| -> Vec<f32> {

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use burn::tensor::Device;
+use rogs_needs::needs;
 use rogs_stage2::weights::OWN_PARAMETERS;
 use rogs_stage2::{Refiner, RefinerConfig, parameter_shapes, read_weights, verify_parameters};
 
@@ -140,8 +141,8 @@ fn the_released_model_is_imported_whole_with_every_shape_checked() {
 }
 
 /// The whole base model, 224 million parameters in bf16, through the import and into the refiner.
+#[needs(long = "writes and reads 900 MB")]
 #[test]
-#[ignore = "long: writes and reads 900 MB"]
 fn a_full_size_released_file_imports_and_gives_the_paper_refiner() {
     use rogs_stage2::{ReleasedImport, ReleasedModel, import_released};
     use rogs_weights::{ElementType, TensorSource, write};

@@ -244,15 +244,11 @@ mod tests {
     use super::*;
 
     /// The library gives the frames that the program gives, byte for byte.
-    #[test]
     #[cfg(feature = "libav")]
+    #[rogs_needs::needs(shared, ffmpeg)]
+    #[test]
     fn libavcodec_and_the_program_agree() {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-        let path = root.join("droid_ctrlworld/new_setup/videos/0007/0.mp4");
-        if !path.exists() {
-            println!("skipped: `{}` is not there", path.display());
-            return;
-        }
+        let path = rogs_needs::shared!("data/droid_ctrlworld/new_setup/videos/0007/0.mp4");
         let info = probe(&path).unwrap();
         let range = (3, 4, 5);
         let mut by_library = Vec::new();

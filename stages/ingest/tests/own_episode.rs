@@ -6,6 +6,7 @@ use std::path::Path;
 
 use common::{HEIGHT, Scratch, WIDTH, description, write_description, write_episode};
 use rogs_ingest::{CameraChoice, Params, QueryChoice, QueryPlanName, list_episodes, read_clip};
+use rogs_needs::needs;
 use rogs_schemas::episode::{Episode, EpisodeMount};
 use rogs_schemas::protocol::FailureCode;
 use rogs_schemas::records::clip::{CameraMount, CameraRole};
@@ -418,6 +419,7 @@ fn folders_of_episodes_are_listed() {
     );
 }
 
+#[needs(numpy, pillow)]
 #[test]
 fn the_script_of_the_documentation_writes_an_episode() {
     let text =
@@ -428,13 +430,6 @@ fn the_script_of_the_documentation_writes_an_episode() {
         .and_then(|rest| rest.split("```").next())
         .expect("a Python script");
     let python = std::env::var("ROGS_PEER_PYTHON").unwrap_or_else(|_| "python3".into());
-    let ready = std::process::Command::new(&python)
-        .args(["-c", "import numpy, PIL"])
-        .output();
-    if !ready.is_ok_and(|output| output.status.success()) {
-        eprintln!("skipped: `{python}` with numpy and Pillow is not here (set ROGS_PEER_PYTHON)");
-        return;
-    }
     let scratch = Scratch::new("python");
     let output = std::process::Command::new(&python)
         .arg("-c")

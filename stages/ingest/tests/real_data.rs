@@ -1,11 +1,12 @@
-//! Real recordings, where the shared sample data are: DROID in the Ctrl-World form and LeRobot, and damaged copies.
+//! Real recordings of the reference data: DROID in the Ctrl-World form and LeRobot, and damaged copies.
 
 mod common;
 
 use std::path::{Path, PathBuf};
 
-use common::{Scratch, has_ffmpeg, shared};
+use common::Scratch;
 use rogs_ingest::{CameraChoice, Params, StateColumns, list_episodes, read_clip};
+use rogs_needs::{needs, shared};
 use rogs_schemas::records::clip::{CameraMount, Clip};
 
 fn params(episode: &str) -> Params {
@@ -30,14 +31,10 @@ fn mean(clip: &Clip, camera: usize, frame: usize) -> [f64; 3] {
     })
 }
 
+#[needs(shared, ffmpeg)]
 #[test]
 fn the_calibrated_droid_episode_becomes_a_clip() {
-    let Some(root) = shared("droid_ctrlworld/new_setup") else {
-        return;
-    };
-    if !has_ffmpeg() {
-        return;
-    }
+    let root = shared!("data/droid_ctrlworld/new_setup");
     let (clip, warnings) = read_clip(&root, None, &params("0007"), "droid-0007").unwrap();
     assert_eq!(warnings, Vec::<String>::new());
     assert_eq!(
@@ -76,14 +73,10 @@ fn the_calibrated_droid_episode_becomes_a_clip() {
     );
 }
 
+#[needs(shared, ffmpeg)]
 #[test]
 fn frames_are_those_of_their_number() {
-    let Some(root) = shared("droid_ctrlworld/new_setup") else {
-        return;
-    };
-    if !has_ffmpeg() {
-        return;
-    }
+    let root = shared!("data/droid_ctrlworld/new_setup");
     let late = Params {
         start_frame: Some(12),
         frames: 3,
@@ -111,9 +104,10 @@ fn frames_are_those_of_their_number() {
     }
 }
 
+#[needs(shared)]
 #[test]
 fn data_sets_are_listed() {
-    let Some(root) = shared("droid_ctrlworld") else { return };
+    let root = shared!("data/droid_ctrlworld");
     let listed = list_episodes(&root).unwrap();
     let selectors: Vec<String> = listed
         .iter()
@@ -131,9 +125,7 @@ fn data_sets_are_listed() {
         ]
     );
     assert!(listed[5].files.contains(&"calibration_0007.json".to_owned()));
-    let Some(root) = shared("lerobot_v30_droid") else {
-        return;
-    };
+    let root = shared!("data/lerobot_v30_droid");
     let listed = list_episodes(&root).unwrap();
     assert_eq!(
         (listed.len(), listed[1].selector.as_str(), listed[1].layout.as_str()),
@@ -146,14 +138,11 @@ fn data_sets_are_listed() {
     );
 }
 
+#[needs(shared, ffmpeg)]
 #[test]
 fn an_episode_without_calibration_says_how_to_give_one() {
-    let (Some(droid), Some(lerobot)) = (shared("droid_ctrlworld"), shared("lerobot_v30_droid")) else {
-        return;
-    };
-    if !has_ffmpeg() {
-        return;
-    }
+    let droid = shared!("data/droid_ctrlworld");
+    let lerobot = shared!("data/lerobot_v30_droid");
     for (root, episode) in [(&droid, "199"), (&lerobot, "0")] {
         let error = read_clip(root, None, &params(episode), "c").unwrap_err();
         assert!(
@@ -172,14 +161,11 @@ fn an_episode_without_calibration_says_how_to_give_one() {
     );
 }
 
+#[needs(shared, ffmpeg)]
 #[test]
 fn a_shared_video_of_lerobot_v30_begins_where_the_episode_does() {
-    let (Some(lerobot), Some(droid)) = (shared("lerobot_v30_droid"), shared("droid_ctrlworld")) else {
-        return;
-    };
-    if !has_ffmpeg() {
-        return;
-    }
+    let lerobot = shared!("data/lerobot_v30_droid");
+    let droid = shared!("data/droid_ctrlworld");
     let calibration = droid.join("new_setup/calibration_0007.json");
     let (two, _) = read_clip(&lerobot, Some(&calibration), &params("episode_000001"), "c").unwrap();
     assert_eq!(
@@ -210,14 +196,10 @@ fn a_shared_video_of_lerobot_v30_begins_where_the_episode_does() {
     assert!(a.iter().zip(b).any(|(a, b)| (a - b).abs() > 10.0));
 }
 
+#[needs(shared, ffmpeg)]
 #[test]
 fn lerobot_v21_with_av1_goes_as_far_as_its_data() {
-    let Some(root) = shared("lerobot_v21_sample") else {
-        return;
-    };
-    if !has_ffmpeg() {
-        return;
-    }
+    let root = shared!("data/lerobot_v21_sample");
     let missing = read_clip(&root, None, &params("11"), "c").unwrap_err();
     assert!(
         missing.message.contains("episode_000011.parquet") && missing.message.contains("missing"),
@@ -271,11 +253,8 @@ fn lerobot_v21_with_av1_goes_as_far_as_its_data() {
 }
 
 /// A copy of the calibrated episode that may be damaged.
-fn copy(name: &str) -> Option<Scratch> {
-    let root = shared("droid_ctrlworld/new_setup")?;
-    if !has_ffmpeg() {
-        return None;
-    }
+fn copy(name: &str) -> Scratch {
+    let root = shared!("data/droid_ctrlworld/new_setup");
     let scratch = Scratch::new(name);
     let file = |path: &str| {
         let target = scratch.0.join(path);
@@ -292,7 +271,7 @@ fn copy(name: &str) -> Option<Scratch> {
     ] {
         file(path);
     }
-    Some(scratch)
+    scratch
 }
 
 fn said(folder: &Path) -> String {
@@ -305,9 +284,10 @@ fn edit(path: PathBuf, change: impl FnOnce(&mut serde_json::Value)) {
     std::fs::write(path, value.to_string()).unwrap();
 }
 
+#[needs(shared, ffmpeg)]
 #[test]
 fn damaged_videos_are_noticed() {
-    let Some(copy) = copy("video") else { return };
+    let copy = copy("video");
     let path = copy.0.join("videos/0007/1.mp4");
     let whole = std::fs::read(&path).unwrap();
     // Cut at every tenth: the header or the frames are missing.
@@ -347,9 +327,10 @@ fn damaged_videos_are_noticed() {
     );
 }
 
+#[needs(shared, ffmpeg)]
 #[test]
 fn damaged_annotations_and_calibrations_are_noticed() {
-    let Some(copy) = copy("annotation") else { return };
+    let copy = copy("annotation");
     let annotation = copy.0.join("annotation/0007.json");
     let whole = std::fs::read(&annotation).unwrap();
     let change = |pointer: &str, value: serde_json::Value| {

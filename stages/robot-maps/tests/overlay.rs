@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use rogs_geometry::{Base, Camera, Link, Pinhole, Pose};
+use rogs_needs::{needs, shared};
 use rogs_robot::outline::{EdgeOptions, image_edges, link_outlines, share_near_edges, silhouette};
 use rogs_robot_maps::{Params, Robot, build};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
@@ -25,20 +26,6 @@ const LEAST_SHARE: [f64; 3] = [0.50, 0.63, 0.73];
 /// By how much the true place must exceed every moved one, and their mean. Measured: at least 0.11 and 0.27.
 const LEAST_LEAD: (f64, f64) = (0.06, 0.2);
 
-fn shared(path: &str) -> Option<PathBuf> {
-    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
-    let root = std::env::var_os("ROGS_SHARED").map_or(beside, PathBuf::from);
-    let full = root.join(path);
-    if !full.exists() {
-        eprintln!(
-            "skipped: `{}` is absent; set ROGS_SHARED to the folder of reference data",
-            full.display()
-        );
-        return None;
-    }
-    Some(full)
-}
-
 fn json(path: &Path) -> Value {
     serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
@@ -52,8 +39,8 @@ fn numbers(value: &Value) -> Vec<f64> {
         .collect()
 }
 
-/// The first frames of a video as RGB; `None`, with the reason printed, when there is no `ffmpeg`.
-fn decode(video: &Path) -> Option<Vec<u8>> {
+/// The first frames of a video as RGB.
+fn decode(video: &Path) -> Vec<u8> {
     let count = (FRAMES[FRAMES.len() - 1] + 1).to_string();
     let output = Command::new("ffmpeg")
         .args(["-v", "error", "-i"])
@@ -69,17 +56,10 @@ fn decode(video: &Path) -> Option<Vec<u8>> {
             "rgb24",
             "-",
         ])
-        .output();
-    match output {
-        Err(error) => {
-            eprintln!("skipped: the program ffmpeg cannot be run: {error}");
-            None
-        }
-        Ok(output) => {
-            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-            Some(output.stdout)
-        }
-    }
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    output.stdout
 }
 
 fn rigid(matrix: &Value) -> RigidPose {
@@ -124,14 +104,14 @@ fn camera(id: &str, calibration: &Value, images: &[u8]) -> ClipCamera {
     }
 }
 
-fn episode() -> Option<(Clip, Robot, RobotMaps)> {
-    let folder = shared("data/droid_ctrlworld/new_setup")?;
-    let urdf = shared("data/robots/panda_robotiq_2f85/franka_panda_robotiq_2f85.urdf")?;
+fn episode() -> (Clip, Robot, RobotMaps) {
+    let folder = shared!("data/droid_ctrlworld/new_setup");
+    let urdf = shared!("data/robots/panda_robotiq_2f85/franka_panda_robotiq_2f85.urdf");
     let calibration = json(&folder.join("calibration_0007.json"));
     let mut cameras = Vec::new();
     for id in CAMERAS {
         let video = folder.join(calibration["cameras"][id]["video"].as_str().unwrap());
-        cameras.push(camera(id, &calibration, &decode(&video)?));
+        cameras.push(camera(id, &calibration, &decode(&video)));
     }
     let rows: Vec<Vec<f64>> = json(&folder.join("annotation/0007.json"))["joints"]
         .as_array()
@@ -163,7 +143,7 @@ fn episode() -> Option<(Clip, Robot, RobotMaps)> {
     let params = Params::default();
     let robot = Robot::load(&urdf, &params).unwrap();
     let maps = build(&clip, &robot, &params, |warning| panic!("{warning}")).unwrap();
-    Some((clip, robot, maps))
+    (clip, robot, maps)
 }
 
 fn picture<'a>(clip: &'a Clip, map: &RobotMap) -> &'a [u8] {
@@ -186,9 +166,10 @@ fn shifts() -> Vec<(i32, i32)> {
         .collect()
 }
 
+#[needs(shared, ffmpeg)]
 #[test]
 fn the_outline_lies_on_the_robot_in_all_three_views() {
-    let Some((clip, _, maps)) = episode() else { return };
+    let (clip, _, maps) = episode();
     for (index, id) in CAMERAS.iter().enumerate() {
         let (mut at_place, mut moved) = (Vec::new(), vec![Vec::new(); shifts().len()]);
         for map in maps.maps.iter().filter(|map| map.camera as usize == index) {
@@ -213,14 +194,12 @@ fn the_outline_lies_on_the_robot_in_all_three_views() {
     }
 }
 
-/// Writes the pictures with the outlines drawn in, for looking at: `ROGS_OVERLAY_DIR=folder cargo test ... -- --ignored`.
+/// Writes the pictures with the outlines drawn in: `ROGS_OVERLAY_DIR=folder cargo test ... write_overlays -- --ignored`.
 #[test]
-#[ignore = "long: writes pictures into ROGS_OVERLAY_DIR"]
+#[ignore = "a tool for people: writes pictures into ROGS_OVERLAY_DIR"]
 fn write_overlays() {
-    let Some(folder) = std::env::var_os("ROGS_OVERLAY_DIR").map(PathBuf::from) else {
-        return;
-    };
-    let Some((clip, _, maps)) = episode() else { return };
+    let folder = PathBuf::from(std::env::var_os("ROGS_OVERLAY_DIR").expect("ROGS_OVERLAY_DIR"));
+    let (clip, _, maps) = episode();
     for map in maps.maps.iter().filter(|map| map.frame % 8 == 0) {
         let mut image = image::RgbImage::from_raw(W, H, picture(&clip, map).to_vec()).unwrap();
         for (pixels, colour) in [
@@ -238,9 +217,10 @@ fn write_overlays() {
     }
 }
 
+#[needs(shared, ffmpeg)]
 #[test]
 fn the_wrist_camera_follows_its_link_and_fixes_the_reconstruction_frame() {
-    let Some((clip, robot, maps)) = episode() else { return };
+    let (clip, robot, maps) = episode();
     let frames = clip.frame_count();
     let CameraMount::HandEye { link_from_camera, .. } = &clip.cameras[0].mount else {
         panic!("the wrist camera is mounted on a link")

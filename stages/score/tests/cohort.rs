@@ -1,7 +1,6 @@
 //! Cohort selection: the rules on made-up episodes, the real manifest where it is there.
 
-use std::path::PathBuf;
-
+use rogs_needs::{needs, shared};
 use rogs_random::Pcg64;
 use rogs_score::cohort::{
     CohortError, CohortOptions, EpisodeRecord, ExclusionReason, PointWorldManifest, episode_of_key, read_episodes,
@@ -135,17 +134,10 @@ fn episode_lists_are_arrays_or_lines() {
     assert!(read_episodes(&path).unwrap_err().to_string().contains("line 2"));
 }
 
+#[needs(shared)]
 #[test]
 fn the_real_manifest_has_the_counts_it_should_have() {
-    let shared = std::env::var_os("ROGS_SHARED").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared"),
-        PathBuf::from,
-    );
-    let path = shared.join("data/pointworld_droid/droid_paper_split_manifest.json");
-    if !path.exists() {
-        println!("skipped: no manifest at {}", path.display());
-        return;
-    }
+    let path = shared!("data/pointworld_droid/droid_paper_split_manifest.json");
     let manifest = PointWorldManifest::read(&path).unwrap();
     assert_eq!(
         (manifest.domain.as_str(), manifest.seed, manifest.test_fraction),

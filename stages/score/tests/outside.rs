@@ -1,8 +1,7 @@
 //! Outside fields against values of their own public code.
 
-use std::path::PathBuf;
-
 use rogs_geometry::{Base, Camera, Pose, Similarity};
+use rogs_needs::{needs, shared};
 use rogs_schemas::RigidPose;
 use rogs_score::outside::{
     MotionBasisField, MotionBasisParts, OutsideError, PolynomialField, mean_frame, merge, stereo_scale, transformed,
@@ -105,17 +104,10 @@ fn shape_of_motion_moves_its_gaussians_as_published() {
     );
 }
 
+#[needs(shared)]
 #[test]
 fn polynomial_fields_and_recentring_are_as_published() {
-    let shared = std::env::var_os("ROGS_SHARED").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared"),
-        PathBuf::from,
-    );
-    let path = shared.join("golden/baselines/4dgt_tiny.safetensors");
-    let Ok(bytes) = std::fs::read(&path) else {
-        println!("skipped: no golden file at {}", path.display());
-        return;
-    };
+    let bytes = std::fs::read(shared!("golden/baselines/4dgt_tiny.safetensors")).unwrap();
     let file = SafeTensors::deserialize(&bytes).unwrap();
     let features = f32s(&file, "gs.feature");
     let field = PolynomialField {

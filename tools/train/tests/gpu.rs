@@ -1,5 +1,4 @@
-//! Updates on a graphics processor against those on the CPU. Mesa's software Vulkan counts as a device; without any the tests
-//! print why they are skipped.
+//! Updates on a GPU against those on the CPU. Mesa's software Vulkan counts as a GPU; without any the tests fail.
 #![cfg(feature = "gpu")]
 
 #[path = "support/latents.rs"]
@@ -32,14 +31,8 @@ const TOLERANCE: f64 = 1e-3;
 /// brings on software Vulkan, a small part of what a wrong gradient would.
 const OF_GRADIENTS: f64 = 3e-3;
 
-fn gpu() -> Option<Device> {
-    match device::open("gpu") {
-        Ok(device) => Some(device),
-        Err(error) => {
-            println!("skipped: {error}");
-            None
-        }
-    }
+fn gpu() -> Device {
+    device::open("gpu").unwrap()
 }
 
 fn data() -> DataSettings {
@@ -110,7 +103,7 @@ fn takes_the_same_update<T: Course>(gpu: &Device, on: impl Fn(&Device) -> T) {
 /// As a whole; in segments, without mesh anchors; with low-rank updates alone in segments.
 #[test]
 fn stage1_takes_the_same_update() {
-    let Some(gpu) = gpu() else { return };
+    let gpu = gpu();
     let folder = tempfile::tempdir().unwrap();
     for (gradient_checkpointing, anchoring_dropout, lora_rank) in [(false, 0.0, 0), (true, 1.0, 0), (true, 0.0, 4)] {
         let mut settings = Stage1Training {
@@ -125,7 +118,7 @@ fn stage1_takes_the_same_update() {
 
 #[test]
 fn a_sweep_alone_takes_the_same_update() {
-    let Some(gpu) = gpu() else { return };
+    let gpu = gpu();
     let folder = tempfile::tempdir().unwrap();
     let settings = Stage1Training {
         losses: LossWeights {
@@ -141,7 +134,7 @@ fn a_sweep_alone_takes_the_same_update() {
 /// Files of a run are the same on all devices: what one began another ends.
 #[test]
 fn a_run_of_stage1_goes_on_elsewhere() {
-    let Some(gpu) = gpu() else { return };
+    let gpu = gpu();
     let folder = tempfile::tempdir().unwrap();
     let settings = stage1(folder.path());
     let run_on = |device: &Device, folder: &Path, stop_after: u64| {
@@ -160,7 +153,7 @@ fn a_run_of_stage1_goes_on_elsewhere() {
 
 #[test]
 fn the_latent_adapter_takes_the_same_update() {
-    let Some(gpu) = gpu() else { return };
+    let gpu = gpu();
     let root = tempfile::tempdir().unwrap();
     let settings = LatentTraining {
         lift: seeded_network(root.path()),
@@ -184,7 +177,7 @@ fn the_latent_adapter_takes_the_same_update() {
 
 #[test]
 fn products_of_bfloat16_are_refused() {
-    let Some(gpu) = gpu() else { return };
+    let gpu = gpu();
     let folder = tempfile::tempdir().unwrap();
     let settings = Stage1Training {
         precision: Numbers::Bf16,
@@ -196,7 +189,7 @@ fn products_of_bfloat16_are_refused() {
 
 #[test]
 fn stage2_takes_the_same_course() {
-    let Some(gpu) = gpu() else { return };
+    let gpu = gpu();
     let folder = tempfile::tempdir().unwrap();
     let settings = Stage2Training {
         preset: "ci".into(),

@@ -44,9 +44,7 @@ pub(crate) fn peak_memory_mib() -> f64 {
 
 /// The Panda's URDF among the reference data.
 pub(crate) fn panda() -> Option<PathBuf> {
-    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
-    let root = std::env::var_os("ROGS_SHARED").map_or(beside, PathBuf::from);
-    let urdf = root.join("data/robots/panda_robotiq_2f85/franka_panda_robotiq_2f85.urdf");
+    let urdf = rogs_needs::shared!("data/robots/panda_robotiq_2f85/franka_panda_robotiq_2f85.urdf");
     if !urdf.exists() {
         println!(
             "skipped: `{}` is absent; set ROGS_SHARED to the folder of reference data",

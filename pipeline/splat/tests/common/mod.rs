@@ -5,6 +5,7 @@
 use std::collections::HashMap;
 use std::path::PathBuf;
 
+use rogs_needs::shared;
 use rogs_splat::{Colour, Gaussians, Mode, RasterCamera, RasterConfig};
 
 /// A golden file in memory.
@@ -15,35 +16,26 @@ pub struct Golden {
     metadata: HashMap<String, String>,
 }
 
-/// The golden files: two lie beside the tests, all of them in the shared folder.
-pub const NAMES: [(&str, bool); 7] = [
-    ("n200_sh0", false),
-    ("n200_sh3_bg", false),
-    ("n200_rgb_amax099", false),
-    ("n5000_sh0_bg", false),
-    ("n5000_sh3_aa_bg", false),
-    ("stress_classic", true),
-    ("stress_aa", true),
-];
-
-/// All golden files that can be found; at least the two beside the tests.
+/// The golden files that lie beside the tests.
 pub fn goldens() -> Vec<Golden> {
-    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
-    let shared = std::env::var_os("ROGS_SHARED").map_or_else(|| root.join("../../../shared"), PathBuf::from);
-    let mut found = Vec::new();
-    for (name, stress) in NAMES {
-        let file = format!("{name}.safetensors");
-        let places = [
-            root.join("tests/golden").join(&file),
-            shared.join("golden/rasterizer").join(&file),
-        ];
-        match places.iter().find(|p| p.is_file()) {
-            Some(path) => found.push(Golden::read(name, stress, path)),
-            None => println!("skipped {name}: no such golden file beside the tests or in the shared folder"),
-        }
-    }
-    assert!(found.len() >= 2, "the golden files beside the tests are missing");
-    found
+    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
+    let read = |(name, stress)| Golden::read(name, stress, &folder.join(format!("{name}.safetensors")));
+    [("n200_sh3_bg", false), ("stress_aa", true)].map(read).into()
+}
+
+/// The others, among the reference data.
+pub fn more_goldens() -> Vec<Golden> {
+    let folder = shared!("golden/rasterizer");
+    let read = |(name, stress)| Golden::read(name, stress, &folder.join(format!("{name}.safetensors")));
+    [
+        ("n200_sh0", false),
+        ("n200_rgb_amax099", false),
+        ("n5000_sh0_bg", false),
+        ("n5000_sh3_aa_bg", false),
+        ("stress_classic", true),
+    ]
+    .map(read)
+    .into()
 }
 
 impl Golden {

@@ -8,6 +8,7 @@ use std::path::PathBuf;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use rogs_geometry::Pose;
+use rogs_needs::shared;
 use rogs_stage1::{NetworkCamera, Stage1, Stage1Config};
 use rogs_tensors::parameters::{Parameters, to_host};
 use safetensors::{Dtype, SafeTensors};
@@ -15,33 +16,20 @@ use safetensors::{Dtype, SafeTensors};
 /// The tensors of one golden file.
 pub struct Golden(BTreeMap<String, (Vec<usize>, Vec<f32>)>);
 
-/// The folder of the shared references, if this checkout lies beside it.
-pub fn shared() -> Option<PathBuf> {
-    let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
-    let folder = std::env::var_os("ROGS_SHARED").map_or(beside, PathBuf::from);
-    folder.is_dir().then_some(folder)
-}
-
 impl Golden {
-    /// Opens a file of the repository or of the shared references; says why when there is none.
-    pub fn open(name: &str) -> Option<Self> {
+    /// Opens a file of the repository, or of the reference data where it is too large for that.
+    pub fn open(name: &str) -> Self {
         let own = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/{name}.safetensors"));
-        let shared = || shared().map(|folder| folder.join(format!("golden/stage1/{name}.safetensors")));
-        let path = if own.exists() {
-            Some(own)
-        } else {
-            shared().filter(|path| path.exists())
+        let path = match own.exists() {
+            true => own,
+            false => shared!("golden/stage1").join(format!("{name}.safetensors")),
         };
-        let Some(path) = path else {
-            eprintln!("skipped: {name}.safetensors is only in the shared references (set ROGS_SHARED)");
-            return None;
-        };
-        let bytes = std::fs::read(path).unwrap();
+        let bytes = std::fs::read(&path).unwrap_or_else(|error| panic!("`{}`: {error}", path.display()));
         let file = SafeTensors::deserialize(&bytes).unwrap();
         let read = |(name, view): (String, safetensors::tensor::TensorView<'_>)| {
             (name, (view.shape().to_vec(), values(&view)))
         };
-        Some(Self(file.tensors().into_iter().map(read).collect()))
+        Self(file.tensors().into_iter().map(read).collect())
     }
 
     pub fn names(&self) -> impl Iterator<Item = &str> {
@@ -140,15 +128,15 @@ pub fn tiny_config() -> Stage1Config {
 }
 
 /// The tiny network of the goldens.
-pub fn tiny(device: &Device) -> Option<Stage1> {
-    let weights = Golden::open("weights_tiny")?;
+pub fn tiny(device: &Device) -> Stage1 {
+    let weights = Golden::open("weights_tiny");
     let mut parameters = Parameters::new(device);
     for name in weights.names() {
         parameters
             .insert(name, weights.shape(name), weights.values(name).to_vec())
             .unwrap();
     }
-    Some(Stage1::new(tiny_config(), parameters).unwrap())
+    Stage1::new(tiny_config(), parameters).unwrap()
 }
 
 /// Largest absolute difference; NaN counts as infinite.

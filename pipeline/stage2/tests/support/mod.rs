@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use burn::tensor::Device;
+use rogs_needs::shared;
 use rogs_stage2::{Plane, RefinerConfig, TokenGrid};
 use rogs_tensors::parameters::Parameters;
 
@@ -19,31 +20,24 @@ pub(crate) struct Golden {
     arrays: BTreeMap<String, (Vec<usize>, Vec<f32>)>,
 }
 
-/// Where a golden file lies: with the crate when it is small, else in the shared folder; `None`, and a line saying so,
-/// when there is no shared folder.
-fn find(file: &str) -> Option<PathBuf> {
-    let crate_folder = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
-    let small = crate_folder.join("tests/golden").join(file);
-    if small.is_file() {
-        return Some(small);
+/// Where a golden file lies: with the crate when it is small, else with the reference data.
+fn find(file: &str) -> PathBuf {
+    let small = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(file);
+    match small.is_file() {
+        true => small,
+        false => shared!("golden/stage2").join(file),
     }
-    let shared = std::env::var_os("ROGS_SHARED").map_or_else(|| crate_folder.join("../../../shared"), PathBuf::from);
-    let large = shared.join("golden/stage2").join(file);
-    if !large.is_file() {
-        eprintln!("skipped: `{file}` is too large for the repository and lies in no shared folder (ROGS_SHARED)");
-        return None;
-    }
-    Some(large)
 }
 
 /// The text of a golden table.
-pub(crate) fn text(file: &str) -> Option<String> {
-    Some(std::fs::read_to_string(find(file)?).unwrap())
+pub(crate) fn text(file: &str) -> String {
+    std::fs::read_to_string(find(file)).unwrap()
 }
 
 /// A golden file by name.
-pub(crate) fn golden(name: &str) -> Option<Golden> {
-    let bytes = std::fs::read(find(&format!("{name}.safetensors"))?).unwrap();
+pub(crate) fn golden(name: &str) -> Golden {
+    let path = find(&format!("{name}.safetensors"));
+    let bytes = std::fs::read(&path).unwrap_or_else(|error| panic!("`{}`: {error}", path.display()));
     let file = safetensors::SafeTensors::deserialize(&bytes).unwrap();
     let array = |(name, view): (&str, safetensors::tensor::TensorView<'_>)| {
         let values = view
@@ -53,10 +47,10 @@ pub(crate) fn golden(name: &str) -> Option<Golden> {
             .collect();
         (name.to_owned(), (view.shape().to_vec(), values))
     };
-    Some(Golden {
+    Golden {
         name: name.to_owned(),
         arrays: file.iter().map(array).collect(),
-    })
+    }
 }
 
 impl Golden {

@@ -1,4 +1,4 @@
-//! A small own episode, and where the shared data lie.
+//! A small own episode.
 
 #![allow(dead_code, reason = "each test file uses some of it")]
 
@@ -30,28 +30,6 @@ impl Drop for Scratch {
     fn drop(&mut self) {
         let _ = std::fs::remove_dir_all(&self.0);
     }
-}
-
-/// Shared sample data, where they are.
-pub(crate) fn shared(path: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("ROGS_SHARED").map(PathBuf::from);
-    let root = root.unwrap_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"));
-    let path = root.join("data").join(path);
-    if path.exists() {
-        return Some(path);
-    }
-    eprintln!("skipped: `{}` is not here (set ROGS_SHARED)", path.display());
-    None
-}
-
-/// True when the video programs are here.
-pub(crate) fn has_ffmpeg() -> bool {
-    let report = rogs_ingest::media_report();
-    if report.problems.is_empty() {
-        return true;
-    }
-    eprintln!("skipped: {}", report.problems.join("; "));
-    false
 }
 
 /// Colour of a pixel of camera `camera` at a frame: smooth, so that resizing keeps it.

@@ -1,0 +1,230 @@
+//! Every stage alone on committed inputs against its committed output. `README.md` beside this file says how and why.
+
+#[path = "../support/golden.rs"]
+mod golden;
+
+mod compare;
+mod machine;
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::OnceLock;
+
+use compare::{Rule, compare};
+use golden::{CLIP, ROGS, folder, outputs};
+
+/// One run of one stage.
+struct Case {
+    stage: &'static str,
+    /// The output below `outputs/`.
+    output: &'static str,
+    /// Upstream outputs by role.
+    upstream: &'static [(&'static str, &'static str)],
+    /// Sources by role, below the folder of the goldens.
+    sources: &'static [(&'static str, &'static str)],
+    /// The bundled weights, where the stage has some: name and content, which both are told in the output.
+    weights: Option<(&'static str, &'static [u8])>,
+    rule: Rule,
+}
+
+const INGEST: Case = Case {
+    stage: "ingest",
+    output: "clip.r4c",
+    upstream: &[],
+    sources: &[("episode", "data/episodes/synth-00000011")],
+    weights: None,
+    rule: Rule::IMAGES,
+};
+
+const ROBOT_MAPS: Case = Case {
+    stage: "robot-maps",
+    output: "robot.r4c",
+    upstream: &[("clip", "clip.r4c")],
+    sources: &[("robot-model", "data/robot/panda_synth.urdf")],
+    weights: None,
+    rule: Rule::GEOMETRY,
+};
+
+const CONDITIONING: Case = Case {
+    stage: "conditioning",
+    output: "conditioning.r4c",
+    upstream: &[("clip", "clip.r4c"), ("robot", "robot.r4c")],
+    sources: &[],
+    weights: None,
+    rule: Rule::GEOMETRY,
+};
+
+const LIFT: Case = Case {
+    stage: "lift",
+    output: "field-1.r4c",
+    upstream: &[
+        ("clip", "clip.r4c"),
+        ("robot", "robot.r4c"),
+        ("conditioning", "conditioning.r4c"),
+    ],
+    sources: &[],
+    weights: Some(golden::LIFT_WEIGHTS),
+    rule: Rule::NETWORK,
+};
+
+const REFINE: Case = Case {
+    stage: "refine",
+    output: "field-2.r4c",
+    upstream: &[("clip", "clip.r4c"), ("robot", "robot.r4c"), ("field", "field-1.r4c")],
+    sources: &[],
+    weights: Some(golden::REFINE_WEIGHTS),
+    rule: Rule::NETWORK,
+};
+
+const SCORE_STAGE_1: Case = Case {
+    stage: "score",
+    output: "scores-1.r4c",
+    upstream: &[("clip", "clip.r4c"), ("robot", "robot.r4c"), ("field", "field-1.r4c")],
+    sources: &[],
+    weights: None,
+    rule: Rule::SCORES,
+};
+
+const SCORE_STAGE_2: Case = Case {
+    stage: "score",
+    output: "scores-2.r4c",
+    upstream: &[
+        ("clip", "clip.r4c"),
+        ("robot", "robot.r4c"),
+        ("field", "field-1.r4c"),
+        ("refinement", "field-2.r4c"),
+    ],
+    sources: &[],
+    weights: None,
+    rule: Rule::SCORES,
+};
+
+const CASES: [Case; 7] = [
+    INGEST,
+    ROBOT_MAPS,
+    CONDITIONING,
+    LIFT,
+    REFINE,
+    SCORE_STAGE_1,
+    SCORE_STAGE_2,
+];
+
+impl Case {
+    fn golden(&self) -> PathBuf {
+        outputs().join(self.output)
+    }
+
+    /// Runs the stage on the committed inputs, with the parameters that the committed output was made with, and compares.
+    fn check(&self) {
+        if golden::updating() {
+            return update();
+        }
+        let scratch = tempfile::tempdir().unwrap();
+        let made = scratch.path().join(self.output);
+        let params = rogs_schemas::r4c::read_header(&self.golden()).unwrap();
+        let params = params.info.provenance.material.params;
+        let mut command = Command::new(ROGS);
+        command.args([
+            "stage",
+            self.stage,
+            "one",
+            "--clip-id",
+            CLIP,
+            "--quiet",
+            "--params",
+            &params,
+        ]);
+        for (role, file) in self.upstream {
+            command.arg(format!("--{role}")).arg(outputs().join(file));
+        }
+        for (role, path) in self.sources {
+            command.arg(format!("--{role}")).arg(folder().join(path));
+        }
+        if let Some((name, bytes)) = self.weights {
+            let file = scratch.path().join(name);
+            std::fs::write(&file, bytes).unwrap();
+            command.arg("--weights").arg(file);
+        }
+        let output = command.arg("--out").arg(&made).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        self.assert_same(&made);
+    }
+
+    fn assert_same(&self, made: &Path) {
+        if let Err(difference) = compare(&self.golden(), made, self.rule, machine::made_the_goldens()) {
+            panic!(
+                "{}: {difference}\nif this is meant: UPDATE_EXPECT=1 cargo test --workspace --test golden, then look at the \
+                 other outputs in `git status` (tests/golden/README.md)",
+                self.output
+            );
+        }
+    }
+}
+
+/// Makes all outputs anew by one run of the pipeline, and keeps them when any is not as it was.
+fn update() {
+    static DONE: OnceLock<()> = OnceLock::new();
+    DONE.get_or_init(|| {
+        let run = golden::GoldenRun::without_outputs();
+        run.rogs(&["run", "manifest.toml", "--no-report"]);
+        let made = |case: &Case| run.clip_folder().join(case.output);
+        let same = |case: &Case| compare(&case.golden(), &made(case), case.rule, machine::made_the_goldens()).is_ok();
+        if CASES.iter().all(same) {
+            return;
+        }
+        std::fs::create_dir_all(outputs()).unwrap();
+        for case in &CASES {
+            std::fs::copy(made(case), case.golden()).unwrap();
+        }
+        std::fs::write(machine::file(), machine::describe()).unwrap();
+    });
+}
+
+#[test]
+fn ingest() {
+    INGEST.check();
+}
+
+#[test]
+fn robot_maps() {
+    ROBOT_MAPS.check();
+}
+
+#[test]
+fn conditioning() {
+    CONDITIONING.check();
+}
+
+#[test]
+fn lift() {
+    LIFT.check();
+}
+
+#[test]
+fn refine() {
+    REFINE.check();
+}
+
+#[test]
+fn score_of_stage_1() {
+    SCORE_STAGE_1.check();
+}
+
+#[test]
+fn score_of_stage_2() {
+    SCORE_STAGE_2.check();
+}
+
+/// The keys of the committed outputs are those that a plan computes today: a run made before stays up to date.
+#[test]
+fn a_run_over_the_committed_outputs_has_nothing_to_make() {
+    if golden::updating() {
+        return update();
+    }
+    let run = golden::GoldenRun::new();
+    let explained = run.rogs(&["plan", "manifest.toml", "--explain"]);
+    assert_eq!(explained.trim(), "everything is up to date");
+    run.rogs(&["run", "manifest.toml", "--no-report"]);
+    let verified: serde_json::Value = serde_json::from_str(&run.rogs(&["verify", "run", "--json"])).unwrap();
+    assert_eq!(verified["good"], CASES.len(), "{verified:#}");
+}

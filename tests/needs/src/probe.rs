@@ -1,0 +1,88 @@
+//! What this machine has.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// Programs that a Slurm of its own is made of.
+const SLURM: [&str; 5] = ["munged", "slurmctld", "slurmd", "sbatch", "sinfo"];
+
+/// Why a need is not met, or `None` when it is; `why` is what the test says of a long run.
+///
+/// # Errors
+/// When there is no such need.
+pub(crate) fn missing(need: &str, why: &str) -> Result<Option<String>, String> {
+    let unless = |there: bool, reason: &str| (!there).then(|| reason.to_owned());
+    Ok(match need {
+        "shared" => unless(
+            Path::new(&shared_root()).is_dir(),
+            "needs ../shared beside the checkout, or ROGS_SHARED",
+        ),
+        "ffmpeg" => unless(
+            ["ffmpeg", "ffprobe"].into_iter().all(on_path),
+            "needs ffmpeg and ffprobe",
+        ),
+        "libx264" => unless(encodes_h264(), "needs an ffmpeg with libx264"),
+        "numpy" => unless(imports("numpy"), "needs Python with numpy (ROGS_PEER_PYTHON)"),
+        "pillow" => unless(imports("PIL"), "needs Python with Pillow (ROGS_PEER_PYTHON)"),
+        "zstandard" => unless(imports("zstandard"), "needs Python with zstandard (ROGS_PEER_PYTHON)"),
+        "bash" => unless(on_path("bash"), "needs bash"),
+        // A mount namespace takes the same right as a mount, and leaves nothing behind.
+        "mount" => unless(succeeds("unshare", &["--mount", "true"]), "needs the right to mount"),
+        "slurm" => unless(
+            is_root() && SLURM.into_iter().all(on_path),
+            "needs root, Slurm and munge",
+        ),
+        "long" => unless(
+            std::env::var_os("ROGS_LONG_TESTS").is_some(),
+            &format!("long ({why}): needs ROGS_LONG_TESTS=1"),
+        ),
+        _ => {
+            return Err(format!(
+                "unknown need `{need}`; see the table of the crate `rogs-needs`"
+            ));
+        }
+    })
+}
+
+/// The folder of reference data, there or not.
+pub(crate) fn shared_root() -> String {
+    let beside = || {
+        let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let workspace = here.ancestors().nth(2).unwrap_or(here);
+        workspace.join("../shared")
+    };
+    let root = std::env::var_os("ROGS_SHARED").map_or_else(beside, PathBuf::from);
+    root.to_string_lossy().into_owned()
+}
+
+fn on_path(program: &str) -> bool {
+    let folders = std::env::var_os("PATH").unwrap_or_default();
+    std::env::split_paths(&folders).any(|folder| folder.join(program).is_file())
+}
+
+fn imports(module: &str) -> bool {
+    let python = std::env::var("ROGS_PEER_PYTHON").unwrap_or_else(|_| "python3".into());
+    succeeds(&python, &["-c", &format!("import {module}")])
+}
+
+fn encodes_h264() -> bool {
+    said("ffmpeg", &["-v", "quiet", "-encoders"]).contains("libx264")
+}
+
+fn is_root() -> bool {
+    said("id", &["-u"]).trim() == "0"
+}
+
+fn succeeds(program: &str, arguments: &[&str]) -> bool {
+    let mut command = Command::new(program);
+    command.args(arguments).stdin(Stdio::null());
+    command.output().is_ok_and(|output| output.status.success())
+}
+
+/// Standard output of a program; empty when it cannot be run.
+fn said(program: &str, arguments: &[&str]) -> String {
+    let mut command = Command::new(program);
+    command.args(arguments).stdin(Stdio::null());
+    let output = command.output().map(|output| output.stdout).unwrap_or_default();
+    String::from_utf8_lossy(&output).into_owned()
+}
