@@ -109,6 +109,66 @@ fn files_that_pages_name_exist() {
     assert_none(&wrong, "files that do not exist");
 }
 
+/// What a page shows after `cargo bench`, `run`, `test`, `build` or `check`, with the line.
+fn cargo_commands(text: &str) -> Vec<(usize, &str)> {
+    let mut out = Vec::new();
+    for (number, line) in text.lines().enumerate() {
+        for (at, word) in line.match_indices("cargo ") {
+            let command = &line[at + word.len()..];
+            let end = command.find(['`', '#']).unwrap_or(command.len());
+            out.push((number + 1, &command[..end]));
+        }
+    }
+    out
+}
+
+#[test]
+fn cargo_commands_of_pages_name_what_exists() {
+    let files = files();
+    let crates: Vec<(&Path, &str)> = files
+        .iter()
+        .filter(|file| file.path.ends_with("Cargo.toml"))
+        .filter_map(|file| {
+            let name = file.text.lines().find_map(|line| line.strip_prefix("name = \""))?;
+            Some((file.folder(), name.trim_end_matches('"')))
+        })
+        .collect();
+    let (mut wrong, mut named) = (Vec::new(), 0);
+    for file in files.iter().filter(|file| file.is_page()) {
+        for (line, command) in cargo_commands(&file.text) {
+            let mut places: Vec<&Path> = Vec::new();
+            let words: Vec<&str> = command.split_whitespace().take_while(|word| *word != "--").collect();
+            for pair in words.windows(2) {
+                let [option, name] = [pair[0], pair[1]];
+                let known = match option {
+                    "-p" => {
+                        named += 1;
+                        places.extend(crates.iter().filter(|(_, own)| *own == name).map(|(folder, _)| *folder));
+                        crates.iter().any(|(_, own)| *own == name)
+                    }
+                    "--bench" | "--example" | "--test" => {
+                        let kind = if option == "--bench" { "benches" } else { "examples" };
+                        let kind = if option == "--test" { "tests" } else { kind };
+                        let inside = |folder: &Path| {
+                            let folder = folder.join(kind);
+                            let target = [folder.join(format!("{name}.rs")), folder.join(name).join("main.rs")];
+                            target.iter().any(|path| root().join(path).exists())
+                        };
+                        // Tests of the whole workspace lie in the root's folder `tests`.
+                        inside(Path::new("")) || places.iter().any(|folder| inside(folder))
+                    }
+                    _ => true,
+                };
+                if !known {
+                    wrong.push(format!("{}:{line}: `{option} {name}`", file.path.display()));
+                }
+            }
+        }
+    }
+    assert_none(&wrong, "crates, benches, examples or tests that do not exist");
+    assert!(named > 15, "commands are not found any more: {named}");
+}
+
 /// Whether a file of Rust defines a name: a function, a type or a constant; a test, where one is asked for.
 fn defines(text: &str, name: &str, test: bool) -> bool {
     let lines: Vec<&str> = text.lines().collect();
