@@ -21,4 +21,10 @@ pub enum Error {
         /// Clip frame.
         frame: usize,
     },
+    /// A frame that the robot maps have no link poses of.
+    #[error("the robot maps have no link poses for frame {frame}")]
+    MissingLinkPoses {
+        /// Clip frame.
+        frame: usize,
+    },
 }

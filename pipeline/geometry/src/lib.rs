@@ -18,6 +18,7 @@
 //! ```
 
 mod error;
+mod links;
 mod pinhole;
 mod pose;
 mod posed;
@@ -25,6 +26,7 @@ mod rotation;
 mod similarity;
 
 pub use error::{Error, Result};
+pub use links::{LinkMotions, LinkPoses};
 pub use pinhole::{Pinhole, pixel_centre};
 pub use pose::{Base, Camera, Frame, Link, Pose, RIGIDITY_TOLERANCE, Recon};
 pub use posed::PosedCamera;

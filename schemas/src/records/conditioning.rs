@@ -5,6 +5,20 @@ use crate::records::clip::SourceView;
 /// Channels of a dense conditioning map: support, mesh depth (m), FK displacement x, y, z (iu), availability, prior.
 pub const KAPPA_CHANNELS: usize = 7;
 
+/// Places of the planes of a dense conditioning map.
+pub mod plane {
+    /// 1 at valid robot support.
+    pub const SUPPORT: usize = 0;
+    /// Mesh depth, metres.
+    pub const DEPTH: usize = 1;
+    /// The first of the three planes of the FK displacement, internal units.
+    pub const DISPLACEMENT: usize = 2;
+    /// 1 where joint states and mesh exist.
+    pub const AVAILABLE: usize = 5;
+    /// Gripper-neighbourhood prior.
+    pub const PRIOR: usize = 6;
+}
+
 /// Written by `conditioning`: everything from which kappa(t) of each source view and query time follows exactly.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Conditioning {
@@ -77,16 +91,16 @@ impl Conditioning {
         let displacement = &maps.displacement_iu[query * count * 3..(query + 1) * count * 3];
         for (index, &pixel) in maps.pixels.iter().enumerate() {
             let pixel = pixel as usize;
-            dense[pixel] = 1.0;
-            dense[area + pixel] = maps.depth_m[index];
+            dense[plane::SUPPORT * area + pixel] = 1.0;
+            dense[plane::DEPTH * area + pixel] = maps.depth_m[index];
             for axis in 0..3 {
-                dense[(2 + axis) * area + pixel] = displacement[index * 3 + axis];
+                dense[(plane::DISPLACEMENT + axis) * area + pixel] = displacement[index * 3 + axis];
             }
         }
-        dense[5 * area..6 * area].fill(f32::from(maps.available[query]));
+        dense[plane::AVAILABLE * area..][..area].fill(f32::from(maps.available[query]));
         for row in 0..self.height {
             for column in 0..self.width {
-                dense[6 * area + (row * self.width + column) as usize] = maps.prior.at(column, row);
+                dense[plane::PRIOR * area + (row * self.width + column) as usize] = maps.prior.at(column, row);
             }
         }
         dense

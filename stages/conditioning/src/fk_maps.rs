@@ -5,7 +5,7 @@ use std::ops::Range;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use rogs_geometry::{Link, Pose, PosedCamera, Recon};
-use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, KAPPA_CHANNELS};
+use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, KAPPA_CHANNELS, plane};
 use rogs_schemas::units::UNITS_PER_METRE;
 
 /// The motion of one link between two times as a displacement field: `d = matrix * p + offset` with `p` in metres and
@@ -174,10 +174,10 @@ pub fn fill_dense(conditioning: &Conditioning, view: usize, query: usize, prior:
     let maps = &conditioning.view_maps[view];
     let count = maps.pixels.len();
     let displacement = &maps.displacement_iu[query * count * 3..(query + 1) * count * 3];
-    out[..5 * area].fill(0.0);
+    out[..plane::AVAILABLE * area].fill(0.0);
     scatter(&maps.pixels, &maps.depth_m, displacement, area, out);
-    out[5 * area..6 * area].fill(f32::from(maps.available[query]));
-    out[6 * area..].copy_from_slice(prior);
+    out[plane::AVAILABLE * area..][..area].fill(f32::from(maps.available[query]));
+    out[plane::PRIOR * area..].copy_from_slice(prior);
 }
 
 /// The gripper prior of a view at every pixel, `[H, W]`; the same for all query times. The Gaussian is separable, so

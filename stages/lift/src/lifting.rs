@@ -6,7 +6,7 @@ use burn::tensor::{Device, Tensor};
 use rayon::prelude::*;
 use rogs_field::MotionGates;
 use rogs_geometry::quaternion_product;
-use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
+use rogs_schemas::records::conditioning::{KAPPA_CHANNELS, plane};
 use rogs_schemas::records::field::{GATE_ATTRIBUTES, RAW_CHANNELS, TimeSlice};
 use rogs_schemas::records::robot::NO_LINK;
 use rogs_schemas::units::m_from_iu;
@@ -284,7 +284,7 @@ fn move_with_links(displacement_iu: &mut [f32], robot: &RobotAtTime, links: &[u8
             continue;
         }
         for axis in 0..3 {
-            displacement_iu[axis * area + pixel] = robot.kappa[(2 + axis) * area + pixel];
+            displacement_iu[axis * area + pixel] = robot.kappa[(plane::DISPLACEMENT + axis) * area + pixel];
         }
     }
 }

@@ -1,13 +1,12 @@
 //! The source frames of a clip as the network sees them: reconstruction frame, internal units.
 
 use burn::tensor::{Device, Tensor};
-use glam::DVec3;
-use rogs_geometry::{Base, Frame, Link, Pinhole, Pose, PosedCamera, Recon, wxyz_f32};
+use rogs_geometry::{Base, Frame, LinkMotions, LinkPoses, Pinhole, Pose, PosedCamera, Recon};
 use rogs_schemas::RigidPose;
 use rogs_schemas::records::clip::{Clip, SourceView, time_of_frame};
-use rogs_schemas::records::conditioning::{Conditioning, KAPPA_CHANNELS};
+use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
-use rogs_schemas::units::{LengthUnit, UNITS_PER_METRE};
+use rogs_schemas::units::LengthUnit;
 use rogs_stage1::{Attention, NetworkCamera, SourceFrames};
 use rogs_tensors::parameters::from_host;
 use rogs_worker::{StageError, StageResult};
@@ -130,55 +129,44 @@ impl<'a> Source<'a> {
     /// when they are not the mesh's own (no anchoring): the FK displacement is then taken at those.
     pub(crate) fn robot_at(&self, index: usize, frame: u32, position_m: Option<&[f32]>) -> StageResult<RobotAtTime> {
         let view = &self.views[index];
-        let motions = self.link_motions(view.view.frame, frame)?;
-        let area = self.area();
-        let query = self
-            .conditioning
-            .query_frames
-            .iter()
-            .position(|&stored| stored == frame)
-            .ok_or_else(|| {
-                StageError::bad_input(format!(
-                    "the conditioning has no maps for frame {frame}; it stores {:?}",
-                    self.conditioning.query_frames
-                ))
-            })?;
-        let mut kappa = self.conditioning.dense(view.conditioning, query);
-        debug_assert_eq!(kappa.len(), KAPPA_CHANNELS * area);
-        if let Some(positions) = position_m {
-            let maps = &self.conditioning.view_maps[view.conditioning];
-            for (&pixel, &link) in maps.pixels.iter().zip(&maps.link) {
-                let Some(motion) = motions.get(usize::from(link)) else {
-                    continue;
-                };
-                let pixel = pixel as usize;
-                let point = DVec3::from_array(std::array::from_fn(|axis| f64::from(positions[3 * pixel + axis])));
-                let moved = motion.point(point) - point;
-                for axis in 0..3 {
-                    kappa[(2 + axis) * area + pixel] = (moved[axis] * UNITS_PER_METRE) as f32;
-                }
-            }
-        }
-        Ok(RobotAtTime {
-            kappa,
-            link_rotation: motions.iter().map(|motion| wxyz_f32(motion.quaternion())).collect(),
-        })
+        let at = |frame: u32| LinkPoses::at_frame(self.robot, frame).map_err(bad_pose);
+        let motions = at(frame)?.motion_from(&at(view.view.frame)?);
+        let stored = &self.conditioning.query_frames;
+        let query = stored.iter().position(|&stored| stored == frame).ok_or_else(|| {
+            StageError::bad_input(format!(
+                "the conditioning has no maps for frame {frame}; it stores {stored:?}"
+            ))
+        })?;
+        Ok(RobotAtTime::new(
+            self.conditioning,
+            view.conditioning,
+            query,
+            &motions,
+            position_m,
+        ))
     }
+}
 
-    /// T(t) T(s)^-1 of every link in the reconstruction frame, metres.
-    fn link_motions(&self, source: u32, query: u32) -> StageResult<Vec<Pose<Recon, Recon>>> {
-        let links = self.robot.link_names.len();
-        let recon_from_base = pose::<Recon, Base>(&self.robot.recon_from_base)?;
-        let at = |frame: u32, link: usize| -> StageResult<Pose<Recon, Link>> {
-            let index = frame as usize * links + link;
-            let stored = self.robot.base_from_link.get(index);
-            let stored = stored
-                .ok_or_else(|| StageError::bad_input(format!("the robot maps have no link poses for frame {frame}")))?;
-            Ok(recon_from_base * pose::<Base, Link>(stored)?)
-        };
-        (0..links)
-            .map(|link| Ok(at(query, link)? * at(source, link)?.inverse()))
-            .collect()
+impl RobotAtTime {
+    /// The conditioning map of a view as it is stored for a query, and how the links turn. Given positions, FK
+    /// displacements are those of `motions` at these: where there are no mesh points, and for times that are not stored
+    /// (support, depth and prior do not depend on the query). `position_m [H W, 3]`, reconstruction frame
+    #[must_use]
+    pub fn new(
+        conditioning: &Conditioning,
+        view: usize,
+        query: usize,
+        motions: &LinkMotions,
+        position_m: Option<&[f32]>,
+    ) -> Self {
+        let mut kappa = conditioning.dense(view, query);
+        if let Some(position_m) = position_m {
+            motions.displace(&conditioning.view_maps[view], position_m, &mut kappa);
+        }
+        Self {
+            kappa,
+            link_rotation: motions.rotations(),
+        }
     }
 }
 

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use burn::tensor::Device;
 use rogs_train::stream::batches;
-use rogs_train::{Course, Stage1Trainer, Stage1Training};
+use rogs_train::{Stage1Trainer, Stage1Training, Trainer};
 
 /// Peak resident memory of this process, GiB.
 fn peak() -> f64 {

@@ -10,7 +10,6 @@ use rogs_tensors::device;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
-use crate::run::Rhythm;
 
 /// A Stage-1 training run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -293,8 +292,8 @@ impl Stage1Training {
 
     /// When the run writes and scores.
     #[must_use]
-    pub fn rhythm(&self) -> Rhythm {
-        Rhythm {
+    pub fn cadence(&self) -> Cadence {
+        Cadence {
             steps: self.steps,
             checkpoint_every: self.checkpoint_every,
             evaluate_every: self.evaluate_every,
@@ -308,7 +307,7 @@ impl Stage1Training {
     pub fn check(&self) -> Result<()> {
         let network = Stage1Config::by_name(&self.configuration)?;
         let wrong = |what, value: String, rule| Err(Error::Setting { what, value, rule });
-        self.rhythm().check()?;
+        self.cadence().check()?;
         self.data.check(network.patch as u32)?;
         let optimiser = &self.optimiser;
         let rates = [
@@ -432,4 +431,38 @@ pub(crate) fn read_toml<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T
         path: path.to_owned(),
         reason: error.to_string(),
     })
+}
+
+/// When a run writes and scores.
+#[derive(Debug, Clone, Copy)]
+pub struct Cadence {
+    /// Updates of the whole schedule.
+    pub steps: u64,
+    /// A checkpoint is written every so many updates.
+    pub checkpoint_every: u64,
+    /// Held-out clips are scored every so many updates.
+    pub evaluate_every: u64,
+}
+
+impl Cadence {
+    /// Checks that there is something to do.
+    ///
+    /// # Errors
+    /// When there are no updates or an interval is empty.
+    pub fn check(&self) -> Result<()> {
+        for (what, value) in [
+            ("steps", self.steps),
+            ("checkpoint_every", self.checkpoint_every),
+            ("evaluate_every", self.evaluate_every),
+        ] {
+            if value == 0 {
+                return Err(Error::Setting {
+                    what,
+                    value: value.to_string(),
+                    rule: "at least 1",
+                });
+            }
+        }
+        Ok(())
+    }
 }

@@ -4,11 +4,12 @@
 //! [`LatentTrainer`] one of the latent adapter, which alone is not trained on procedural clips; [`run::run`] is the loop that
 //! every kind of training shares, and [`Stream`] makes the clips of each update in the background. Losses on
 //! renders flow through the rasteriser's own backward pass. Everything random follows from the seed and the number of the
-//! update, so a resumed run takes the same course as an uninterrupted one.
+//! update, so a resumed run takes the same trainer as an uninterrupted one.
 
+mod builder;
 pub mod checkpoint;
 pub mod config;
-mod crossing;
+mod device_copies;
 mod error;
 pub mod latent;
 mod perceptual;
@@ -27,7 +28,7 @@ pub use config::Stage1Training;
 pub use error::{Error, Result};
 pub use latent::{LatentTrainer, LatentTraining};
 pub use picture::Picture;
-pub use run::{Course, UpdateReport};
+pub use run::{Trainer, UpdateReport};
 pub use stage1::Stage1Trainer;
 pub use stage2::{Stage2Trainer, Stage2Training};
 pub use stream::Stream;

@@ -7,7 +7,7 @@ use burn::tensor::Device;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use rogs_tensors::device;
 use rogs_train::checkpoint::{RunFolder, export};
-use rogs_train::run::{Course, run};
+use rogs_train::run::{Trainer, run};
 use rogs_train::{
     Error, LatentTrainer, LatentTraining, Result, Stage1Trainer, Stage1Training, Stage2Trainer, Stage2Training,
 };
@@ -28,21 +28,21 @@ enum Command {
         /// TOML file of settings; without one, the paper's schedule for the compact network.
         settings: Option<PathBuf>,
         #[command(flatten)]
-        course: CourseArguments,
+        trainer: CourseArguments,
     },
     /// Trains Stage 2, the refiner, on fields of a trained Stage 1; the same command goes on after a stop.
     Stage2 {
         /// TOML file of settings; `lift` names the weights of Stage 1.
         settings: PathBuf,
         #[command(flatten)]
-        course: CourseArguments,
+        trainer: CourseArguments,
     },
     /// Trains the latent adapter on clips of a run and their latents; the same command goes on after a stop.
     Latent {
         /// TOML file of settings; `lift`, `run` and `latents` must be in it.
         settings: PathBuf,
         #[command(flatten)]
-        course: CourseArguments,
+        trainer: CourseArguments,
     },
     /// Writes the Stage-1 network of a run as a weights file for `rogs`.
     Export {
@@ -83,9 +83,9 @@ impl CourseArguments {
         Ok(device::open(&self.device)?)
     }
 
-    /// Runs a course and says where its network lies.
-    fn run(&self, course: &mut impl Course) -> Result<()> {
-        run(course, &self.out, self.stop_after, &mut |line| eprintln!("{line}"))?;
+    /// Runs a trainer and says where its network lies.
+    fn run(&self, trainer: &mut impl Trainer) -> Result<()> {
+        run(trainer, &self.out, self.stop_after, &mut |line| eprintln!("{line}"))?;
         println!("{}", self.out.join("model.safetensors").display());
         Ok(())
     }
@@ -110,7 +110,7 @@ fn main() -> ExitCode {
 
 fn execute(command: Command) -> Result<()> {
     match command {
-        Command::Stage1 { settings, course } => {
+        Command::Stage1 { settings, trainer } => {
             let settings = match settings {
                 Some(path) => Stage1Training::read(&path)?,
                 None => Stage1Training::default(),
@@ -119,19 +119,19 @@ fn execute(command: Command) -> Result<()> {
                 settings.lpips.is_none() && settings.losses.movies_lpips > 0.0,
                 "movies_lpips",
             );
-            course.run(&mut Stage1Trainer::new(settings, &course.device()?)?)
+            trainer.run(&mut Stage1Trainer::new(settings, &trainer.device()?)?)
         }
-        Command::Stage2 { settings, course } => {
+        Command::Stage2 { settings, trainer } => {
             let settings = Stage2Training::read(&settings)?;
             left_out(
                 settings.lpips.is_none() && settings.losses.perceptual > 0.0,
                 "perceptual",
             );
-            course.run(&mut Stage2Trainer::new(settings, &course.device()?)?)
+            trainer.run(&mut Stage2Trainer::new(settings, &trainer.device()?)?)
         }
-        Command::Latent { settings, course } => {
+        Command::Latent { settings, trainer } => {
             let settings = LatentTraining::read(&settings)?;
-            course.run(&mut LatentTrainer::new(settings, &course.device()?)?)
+            trainer.run(&mut LatentTrainer::new(settings, &trainer.device()?)?)
         }
         Command::Export {
             folder,

@@ -5,8 +5,6 @@ use rogs_synth::{Episode, Resolution, SynthConfig, generate_episode};
 
 use crate::config::DataSettings;
 use crate::error::{Error, Result};
-use crate::records::Records;
-use crate::sample::{Maker, Sample};
 
 /// Frames of a procedural episode.
 const EPISODE_FRAMES: u32 = 33;
@@ -60,24 +58,6 @@ impl ClipPlan {
         }
     }
 
-    /// Makes the clip.
-    ///
-    /// # Errors
-    /// When no motion can be found for the seed.
-    pub fn sample(&self, data: &DataSettings, with_targets: bool) -> Result<Sample> {
-        let episode = self.episode(data)?;
-        Ok(Maker::new(self, data, &episode).sample(with_targets))
-    }
-
-    /// The records that the pipeline would make of the clip.
-    ///
-    /// # Errors
-    /// As [`Self::sample`].
-    pub fn records(&self, data: &DataSettings) -> Result<Records> {
-        let episode = self.episode(data)?;
-        Maker::new(self, data, &episode).records()
-    }
-
     /// Makes something of the plan; a seed for which no motion is found gives way to another one far from all others.
     ///
     /// # Errors
@@ -93,7 +73,8 @@ impl ClipPlan {
         }
     }
 
-    fn episode(&self, data: &DataSettings) -> Result<Episode> {
+    /// The episode that the clip is cut from.
+    pub(crate) fn episode(&self, data: &DataSettings) -> Result<Episode> {
         let config = SynthConfig {
             frames: EPISODE_FRAMES.max(data.clip_frames),
             resolution: Resolution {

@@ -8,8 +8,10 @@ use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_synth::{ARM_JOINT_NAMES, CAMERA_NAMES, CAMERAS, FIRST_OBJECT_ID, View};
 
+use crate::builder::{ClipBuilder, DEPTH_RANGE_M, SOURCE_CAMERAS, links, support};
+use crate::config::DataSettings;
 use crate::error::Result;
-use crate::sample::{DEPTH_RANGE_M, Maker, SOURCE_CAMERAS, links, support};
+use crate::plan::ClipPlan;
 
 /// The records of one clip.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,7 +24,18 @@ pub struct Records {
     pub conditioning: Conditioning,
 }
 
-impl Maker<'_> {
+impl ClipPlan {
+    /// The records that the pipeline would make of the clip.
+    ///
+    /// # Errors
+    /// As [`Self::sample`].
+    pub fn records(&self, data: &DataSettings) -> Result<Records> {
+        let episode = self.episode(data)?;
+        ClipBuilder::new(self, data, &episode).records()
+    }
+}
+
+impl ClipBuilder<'_> {
     /// The records of the clip.
     pub(crate) fn records(&self) -> Result<Records> {
         let (clip, views) = self.clip();

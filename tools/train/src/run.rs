@@ -1,4 +1,4 @@
-//! A whole run on a folder: updates, evaluations, checkpoints, report. What is trained is a [`Course`].
+//! A whole run on a folder: updates, evaluations, checkpoints, report. What is trained is a [`Trainer`].
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,7 +11,8 @@ use serde::Serialize;
 use serde_json::json;
 
 use crate::checkpoint::{RunFolder, State, export};
-use crate::error::{Error, Result};
+use crate::config::Cadence;
+use crate::error::Result;
 use crate::picture::Picture;
 use crate::report;
 use crate::stream::Stream;
@@ -43,42 +44,8 @@ pub struct Evaluation {
     pub picture: Option<Picture>,
 }
 
-/// When a run writes and scores.
-#[derive(Debug, Clone, Copy)]
-pub struct Rhythm {
-    /// Updates of the whole schedule.
-    pub steps: u64,
-    /// A checkpoint is written every so many updates.
-    pub checkpoint_every: u64,
-    /// Held-out clips are scored every so many updates.
-    pub evaluate_every: u64,
-}
-
-impl Rhythm {
-    /// Checks that there is something to do.
-    ///
-    /// # Errors
-    /// When there are no updates or an interval is empty.
-    pub fn check(&self) -> Result<()> {
-        for (what, value) in [
-            ("steps", self.steps),
-            ("checkpoint_every", self.checkpoint_every),
-            ("evaluate_every", self.evaluate_every),
-        ] {
-            if value == 0 {
-                return Err(Error::Setting {
-                    what,
-                    value: value.to_string(),
-                    rule: "at least 1",
-                });
-            }
-        }
-        Ok(())
-    }
-}
-
 /// Something that is trained update by update.
-pub trait Course {
+pub trait Trainer {
     /// Settings; a folder belongs to one value of them.
     type Settings: Serialize;
     /// What one update is made from.
@@ -92,7 +59,7 @@ pub trait Course {
     /// The settings.
     fn settings(&self) -> &Self::Settings;
     /// When to write and score.
-    fn rhythm(&self) -> Rhythm;
+    fn cadence(&self) -> Cadence;
     /// What changes from update to update.
     fn state(&mut self) -> State<'_>;
     /// The parameters as they are.
@@ -125,50 +92,50 @@ pub trait Course {
 ///
 /// # Errors
 /// When the folder belongs to another run, a clip cannot be made, or training diverges.
-pub fn run<C: Course>(course: &mut C, root: &Path, stop_after: Option<u64>, say: &mut dyn FnMut(&str)) -> Result<()> {
-    let folder = RunFolder::open(root, course.settings())?;
-    folder.resume(course.state())?;
-    let Rhythm {
+pub fn run<C: Trainer>(trainer: &mut C, root: &Path, stop_after: Option<u64>, say: &mut dyn FnMut(&str)) -> Result<()> {
+    let folder = RunFolder::open(root, trainer.settings())?;
+    folder.resume(trainer.state())?;
+    let Cadence {
         steps,
         checkpoint_every,
         evaluate_every,
-    } = course.rhythm();
+    } = trainer.cadence();
     let last = stop_after.unwrap_or(steps).min(steps);
-    if course.step() > 0 {
-        say(&format!("resumed after {} of {steps} updates", course.step()));
+    if trainer.step() > 0 {
+        say(&format!("resumed after {} of {steps} updates", trainer.step()));
     }
     let mut clock = Clock::start(&folder)?;
-    if course.step() == 0 && folder.lines("metrics.jsonl")?.is_empty() {
-        scored(course, &folder, &clock, say)?;
+    if trainer.step() == 0 && folder.lines("metrics.jsonl")?.is_empty() {
+        scored(trainer, &folder, &clock, say)?;
     }
-    if course.step() >= last {
+    if trainer.step() >= last {
         return Ok(());
     }
-    let mut stream = course.stream()?;
-    while course.step() < last {
+    let mut stream = trainer.stream()?;
+    while trainer.step() < last {
         let Some(batch) = stream.next_item() else { break };
         let started = Instant::now();
-        let report = course.update(&batch?)?;
+        let report = trainer.update(&batch?)?;
         clock.pace(started.elapsed().as_secs_f64());
         folder.append("metrics.jsonl", &json!(report))?;
-        let (step, done) = (course.step(), course.step() == last);
+        let (step, done) = (trainer.step(), trainer.step() == last);
         if step.is_multiple_of(10) || done {
             say(&line(&report, steps, clock.seconds_per_update));
         }
         if done || step.is_multiple_of(evaluate_every) {
-            scored(course, &folder, &clock, say)?;
+            scored(trainer, &folder, &clock, say)?;
         }
         if done || step.is_multiple_of(checkpoint_every) {
-            folder.save(course.parameters(), course.moments(), step)?;
+            folder.save(trainer.parameters(), trainer.moments(), step)?;
         }
     }
     Ok(())
 }
 
 /// Scores the network, writes picture, model and report.
-fn scored<C: Course>(course: &C, folder: &RunFolder, clock: &Clock, say: &mut dyn FnMut(&str)) -> Result<()> {
-    let step = course.step();
-    let Evaluation { scores, picture } = course.evaluate()?;
+fn scored<C: Trainer>(trainer: &C, folder: &RunFolder, clock: &Clock, say: &mut dyn FnMut(&str)) -> Result<()> {
+    let step = trainer.step();
+    let Evaluation { scores, picture } = trainer.evaluate()?;
     if !scores.is_empty() {
         folder.append("metrics.jsonl", &json!({ "step": step, "evaluation": scores }))?;
         let words: Vec<String> = scores.iter().map(|(key, value)| format!("{key} {value:.3}")).collect();
@@ -180,14 +147,14 @@ fn scored<C: Course>(course: &C, folder: &RunFolder, clock: &Clock, say: &mut dy
     let seconds = clock.seconds();
     let line = json!({ "step": step, "evaluation": true, "seconds": seconds });
     folder.append("time.jsonl", &line)?;
-    let metadata = course.metadata(&format!(", {:.0} minutes of wall time", seconds / 60.0));
+    let metadata = trainer.metadata(&format!(", {:.0} minutes of wall time", seconds / 60.0));
     export(
-        course.parameters(),
+        trainer.parameters(),
         &metadata,
         &folder.path("model.safetensors"),
         ElementType::F32,
     )?;
-    report::write(folder, C::TITLE, C::PICTURE, course.rhythm().steps)
+    report::write(folder, C::TITLE, C::PICTURE, trainer.cadence().steps)
 }
 
 fn line(report: &UpdateReport, steps: u64, seconds_per_update: f64) -> String {

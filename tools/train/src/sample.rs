@@ -1,24 +1,20 @@
 //! One training clip from a procedural episode: what the network sees, and exact references for every loss.
 
 use rayon::prelude::*;
-use rogs_geometry::{Base, Camera, Pose, PosedCamera, Recon};
+use rogs_geometry::{Base, Pose, Recon};
 use rogs_lift::LiftParams;
-use rogs_robot_maps::{SupportRule, valid_support};
 use rogs_schemas::records::clip::time_of_frame;
-use rogs_schemas::records::conditioning::{GripperPrior, KAPPA_CHANNELS};
-use rogs_schemas::records::robot::NO_LINK;
+use rogs_schemas::records::conditioning::{GripperPrior, KAPPA_CHANNELS, plane};
 use rogs_schemas::units::{LengthUnit, UNITS_PER_METRE, iu_from_m};
 use rogs_splat::RasterCamera;
 use rogs_stage1::NetworkCamera;
-use rogs_synth::{Episode, EpisodeCamera, FIRST_OBJECT_ID, FIRST_SCENERY_ID, View};
+use rogs_synth::{FIRST_OBJECT_ID, FIRST_SCENERY_ID, View};
 
+use crate::builder::{ClipBuilder, DEPTH_RANGE_M, SOURCE_CAMERAS, support};
 use crate::config::DataSettings;
+use crate::error::Result;
 use crate::plan::ClipPlan;
 
-/// Cameras whose images the network sees; their right eyes follow them in the episode.
-pub const SOURCE_CAMERAS: usize = 3;
-/// References outside this interval take no part in depth losses, metres (as in scoring).
-pub(crate) const DEPTH_RANGE_M: [f32; 2] = [0.1, 5.0];
 /// A cap that caps nothing, internal units.
 const NO_CAP_IU: f32 = 1e3;
 
@@ -111,44 +107,18 @@ struct Motion {
     displacement_iu: Vec<f32>,
 }
 
-/// Makes what training needs of a clip.
-pub(crate) struct Maker<'a> {
-    pub(crate) plan: &'a ClipPlan,
-    pub(crate) data: &'a DataSettings,
-    pub(crate) episode: &'a Episode,
-    /// Where the base of the robot stands, metres.
-    pub(crate) recon_from_base: Pose<Recon, Base>,
+impl ClipPlan {
+    /// Makes the clip.
+    ///
+    /// # Errors
+    /// When no motion can be found for the seed.
+    pub fn sample(&self, data: &DataSettings, with_targets: bool) -> Result<Sample> {
+        let episode = self.episode(data)?;
+        Ok(ClipBuilder::new(self, data, &episode).sample(with_targets))
+    }
 }
 
-impl<'a> Maker<'a> {
-    pub(crate) fn new(plan: &'a ClipPlan, data: &'a DataSettings, episode: &'a Episode) -> Self {
-        let mut maker = Self {
-            plan,
-            data,
-            episode,
-            recon_from_base: Pose::IDENTITY,
-        };
-        let base_from_first = maker.recorded(0, maker.frame(plan.sources[0]));
-        // The reconstruction frame is that of the first camera at the first source time.
-        maker.recon_from_base = base_from_first.inverse().relabelled();
-        maker
-    }
-
-    /// Episode frame of a clip frame.
-    pub(crate) fn frame(&self, clip_frame: u32) -> usize {
-        (self.plan.first + clip_frame) as usize
-    }
-
-    /// Camera-to-base pose as it is recorded.
-    pub(crate) fn recorded(&self, camera: usize, frame: usize) -> Pose<Base, Camera> {
-        let camera = &self.episode.cameras[camera];
-        let recorded = EpisodeCamera {
-            mount: camera.recorded_mount,
-            ..*camera
-        };
-        recorded.base_from_camera(&self.episode.base_from_flange(frame))
-    }
-
+impl ClipBuilder<'_> {
     pub(crate) fn sample(&self, with_targets: bool) -> Sample {
         let [height, width] = self.data.size.map(|side| side as usize);
         let area = height * width;
@@ -274,13 +244,13 @@ impl<'a> Maker<'a> {
         let (mut fk_slope, mut displacement_iu) = (vec![0.0f32; 3 * area], vec![0.0f32; 3 * area]);
         for pixel in 0..area {
             let (row, column) = (pixel / width, pixel % width);
-            kappa[5 * area + pixel] = 1.0;
-            kappa[6 * area + pixel] = prior.at(column as u32, row as u32);
+            kappa[plane::AVAILABLE * area + pixel] = 1.0;
+            kappa[plane::PRIOR * area + pixel] = prior.at(column as u32, row as u32);
             let (id, depth_m) = (view.id[pixel], view.depth_m[pixel]);
             let supported = support[pixel] != 0;
             if supported {
-                kappa[pixel] = 1.0;
-                kappa[area + pixel] = depth_m;
+                kappa[plane::SUPPORT * area + pixel] = 1.0;
+                kappa[plane::DEPTH * area + pixel] = depth_m;
             }
             let Some(Some(motion)) = moves.get(usize::from(id)) else {
                 continue;
@@ -293,7 +263,7 @@ impl<'a> Maker<'a> {
             for axis in 0..3 {
                 displacement_iu[axis * area + pixel] = moved[axis] as f32;
                 if supported {
-                    kappa[(2 + axis) * area + pixel] = moved[axis] as f32;
+                    kappa[(plane::DISPLACEMENT + axis) * area + pixel] = moved[axis] as f32;
                     fk_slope[axis * area + pixel] = slope[axis] as f32;
                 }
             }
@@ -320,23 +290,6 @@ impl<'a> Maker<'a> {
             sigma_m: rogs_conditioning::Params::default().prior_sigma_m,
         }
     }
-
-    /// A camera in the reconstruction frame, as its pose is recorded.
-    fn posed(&self, camera: usize, frame: usize) -> PosedCamera<Recon> {
-        let lens = self.episode.cameras[camera].lens;
-        PosedCamera::new(lens, self.recorded(camera, frame)).in_frame(&self.recon_from_base)
-    }
-}
-
-/// Link of every pixel, [`NO_LINK`] where no robot is seen. `[A]`
-pub(crate) fn links(view: &View) -> Vec<u8> {
-    let link = |&id: &u8| if id < FIRST_OBJECT_ID { id } else { NO_LINK };
-    view.id.iter().map(link).collect()
-}
-
-/// Valid robot support by the rule of `robot-maps`, 1 or 0. `[A]`
-pub(crate) fn support(view: &View, [height, width]: [u32; 2]) -> Vec<u8> {
-    valid_support(&view.depth_m, &links(view), width, height, &SupportRule::default())
 }
 
 /// Depth in internal units and whether it counts.

@@ -7,10 +7,11 @@ use std::thread::JoinHandle;
 
 use rogs_random::Pcg64;
 
+use crate::builder::SOURCE_CAMERAS;
 use crate::config::{DataSettings, Stage1Training};
 use crate::error::Result;
 use crate::plan::ClipPlan;
-use crate::sample::{SOURCE_CAMERAS, Sample};
+use crate::sample::Sample;
 
 /// Batches that wait for training.
 const AHEAD: usize = 3;

@@ -21,7 +21,7 @@ use rogs_tensors::optimiser::Gradients;
 use rogs_train::config::{DataSettings, LossWeights};
 use rogs_train::run::run;
 use rogs_train::{
-    Course, LatentTrainer, LatentTraining, Stage1Trainer, Stage1Training, Stage2Trainer, Stage2Training, UpdateReport,
+    LatentTrainer, LatentTraining, Stage1Trainer, Stage1Training, Stage2Trainer, Stage2Training, Trainer, UpdateReport,
 };
 use support::{difference, first_moments};
 
@@ -84,14 +84,14 @@ fn same(cpu: &UpdateReport, gpu: &UpdateReport) {
 }
 
 /// The first update of a run, and moments that are a constant times its gradients.
-fn first_update(mut trainer: impl Course) -> (UpdateReport, Gradients) {
+fn first_update(mut trainer: impl Trainer) -> (UpdateReport, Gradients) {
     let batch = trainer.stream().unwrap().next_item().unwrap().unwrap();
     let report = trainer.update(&batch).unwrap();
     (report, first_moments(&trainer))
 }
 
 /// Loss, terms and gradients of an update are those of the CPU.
-fn takes_the_same_update<T: Course>(gpu: &Device, on: impl Fn(&Device) -> T) {
+fn takes_the_same_update<T: Trainer>(gpu: &Device, on: impl Fn(&Device) -> T) {
     let ((cpu_report, cpu_moments), (gpu_report, gpu_moments)) =
         (first_update(on(&Device::flex())), first_update(on(gpu)));
     same(&cpu_report, &gpu_report);

@@ -11,7 +11,7 @@ use latents::{records, workspace};
 use rogs_lift::latents::open_adapter;
 use rogs_lift::{ClipInputs, LiftParams, TokenSource, lift_inputs, load_model};
 use rogs_train::latent::LatentLosses;
-use rogs_train::run::{Course, run};
+use rogs_train::run::{Trainer, run};
 use rogs_train::{LatentTrainer, LatentTraining, Stage1Training, Stage2Training};
 use support::{difference, first_moments};
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use burn::tensor::Device;
 use rogs_train::config::DataSettings;
-use rogs_train::run::{Course, run};
+use rogs_train::run::{Trainer, run};
 use rogs_train::{Stage2Trainer, Stage2Training};
 
 fn tiny(folder: &Path) -> Stage2Training {

@@ -25,7 +25,7 @@ use rogs_train::stage1::objective::{objective, of_copies};
 use rogs_train::stage1::start;
 use rogs_train::stage1::terms::Losses;
 use rogs_train::stream::batches;
-use rogs_train::{Course, Stage1Trainer, Stage1Training};
+use rogs_train::{Stage1Trainer, Stage1Training, Trainer};
 use rogs_weights::{ElementType, TensorSource, write};
 use support::{difference, first_moments};
 
@@ -419,7 +419,7 @@ fn losses_on_copies_of_the_outputs_change_no_gradient() {
     assert!(found < 1e-5, "{found}");
 }
 
-/// Products of bfloat16 are another rounding, not another course.
+/// Products of bfloat16 are another rounding, not another trainer.
 #[test]
 fn products_of_bfloat16_hardly_change_an_update() {
     let update = |precision| {

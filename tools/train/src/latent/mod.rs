@@ -20,9 +20,9 @@ pub use self::clips::LatentClip;
 use self::clips::Place;
 pub use self::settings::{LatentLosses, LatentTraining};
 use crate::checkpoint::State;
-use crate::config::check_precision;
+use crate::config::{Cadence, check_precision};
 use crate::error::{Error, Result};
-use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
+use crate::run::{Evaluation, Trainer, UpdateReport};
 use crate::segments::Segments;
 use crate::stream::Stream;
 
@@ -291,7 +291,7 @@ fn from_seed(network: &Stage1, settings: &LatentTraining, device: &Device) -> Re
     Ok(adapter)
 }
 
-impl Course for LatentTrainer {
+impl Trainer for LatentTrainer {
     type Settings = LatentTraining;
     type Batch = Vec<LatentClip>;
 
@@ -302,8 +302,8 @@ impl Course for LatentTrainer {
         &self.settings
     }
 
-    fn rhythm(&self) -> Rhythm {
-        self.settings.rhythm()
+    fn cadence(&self) -> Cadence {
+        self.settings.cadence()
     }
 
     fn state(&mut self) -> State<'_> {

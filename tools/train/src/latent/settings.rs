@@ -6,8 +6,8 @@ use rogs_lift::Numbers;
 use serde::{Deserialize, Serialize};
 
 use crate::config;
+use crate::config::Cadence;
 use crate::error::{Error, Result};
-use crate::run::Rhythm;
 
 /// A training run of an adapter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -134,8 +134,8 @@ impl LatentTraining {
 
     /// When the run writes and scores.
     #[must_use]
-    pub fn rhythm(&self) -> Rhythm {
-        Rhythm {
+    pub fn cadence(&self) -> Cadence {
+        Cadence {
             steps: self.steps,
             checkpoint_every: self.checkpoint_every,
             evaluate_every: self.evaluate_every,
@@ -148,7 +148,7 @@ impl LatentTraining {
     /// The first setting that is out of its range.
     pub fn check(&self) -> Result<()> {
         let wrong = |what, value: String, rule| Err(Error::Setting { what, value, rule });
-        self.rhythm().check()?;
+        self.cadence().check()?;
         if !(1..=64).contains(&self.blocks) {
             return wrong("blocks", self.blocks.to_string(), "from 1 to 64");
         }

@@ -12,7 +12,7 @@ use rogs_tensors::device;
 use rogs_tensors::parameters::from_host;
 use rogs_tensors::render::{ColourTensor, GaussianTensors};
 
-use crate::crossing::Crossing;
+use crate::device_copies::DeviceCopies;
 use crate::error::Result;
 use crate::sample::{Query, Sample};
 
@@ -56,35 +56,39 @@ impl Lifted {
         if device::is_cpu(&self.depth.device()) {
             return Ok(self);
         }
-        self.copied(&mut Crossing::to(Device::flex()))
+        self.copied(&mut DeviceCopies::to(Device::flex()))
     }
 
     /// Copies of these outputs.
-    pub(super) fn copied(&self, crossing: &mut Crossing) -> Result<Self> {
+    pub(super) fn copied(&self, device_copies: &mut DeviceCopies) -> Result<Self> {
         let queries = self.queries.iter().map(|query| {
             Ok(LiftedQuery {
-                base_raw: crossing.copy(&query.base_raw)?,
-                displacement: crossing.copy(&query.displacement)?,
-                raw: crossing.copy(&query.raw)?,
+                base_raw: device_copies.copy(&query.base_raw)?,
+                displacement: device_copies.copy(&query.displacement)?,
+                raw: device_copies.copy(&query.raw)?,
             })
         });
         Ok(Self {
             queries: queries.collect::<Result<_>>()?,
-            log_depth: crossing.copy(&self.log_depth)?,
-            depth: crossing.copy(&self.depth)?,
-            sweep: self.sweep.as_ref().map(|swept| swept.copied(crossing)).transpose()?,
-            position: crossing.copy(&self.position)?,
+            log_depth: device_copies.copy(&self.log_depth)?,
+            depth: device_copies.copy(&self.depth)?,
+            sweep: self
+                .sweep
+                .as_ref()
+                .map(|swept| swept.copied(device_copies))
+                .transpose()?,
+            position: device_copies.copy(&self.position)?,
         })
     }
 }
 
 impl Swept {
     /// Copies of these outputs.
-    pub(super) fn copied(&self, crossing: &mut Crossing) -> Result<Self> {
+    pub(super) fn copied(&self, device_copies: &mut DeviceCopies) -> Result<Self> {
         Ok(Self {
-            matches: crossing.copy(&self.matches)?,
-            depths: crossing.copy(&self.depths)?,
-            log_depth_m: crossing.copy(&self.log_depth_m)?,
+            matches: device_copies.copy(&self.matches)?,
+            depths: device_copies.copy(&self.depths)?,
+            log_depth_m: device_copies.copy(&self.log_depth_m)?,
         })
     }
 }

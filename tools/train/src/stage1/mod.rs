@@ -23,10 +23,10 @@ use rogs_tensors::parameters::Parameters;
 use rogs_weights::{PROCEDURAL, TRAINING_DOMAIN};
 
 use crate::checkpoint::State;
-use crate::config::{Stage1Training, check_precision};
+use crate::config::{Cadence, Stage1Training, check_precision};
 use crate::error::{Error, Result};
 use crate::perceptual::perceptual;
-use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
+use crate::run::{Evaluation, Trainer, UpdateReport};
 use crate::sample::Sample;
 use crate::stream::{Batch, Stream, batches};
 use evaluate::evaluate;
@@ -119,7 +119,7 @@ impl Stage1Trainer {
     }
 }
 
-impl Course for Stage1Trainer {
+impl Trainer for Stage1Trainer {
     type Settings = Stage1Training;
     type Batch = Batch;
 
@@ -131,8 +131,8 @@ impl Course for Stage1Trainer {
         &self.settings
     }
 
-    fn rhythm(&self) -> Rhythm {
-        self.settings.rhythm()
+    fn cadence(&self) -> Cadence {
+        self.settings.cadence()
     }
 
     fn state(&mut self) -> State<'_> {

@@ -11,7 +11,7 @@ use super::matching;
 use super::renders;
 use super::terms::{EPSILON, Losses, Objective, Sum};
 use crate::config::LossWeights;
-use crate::crossing::Crossing;
+use crate::device_copies::DeviceCopies;
 use crate::error::Result;
 use crate::sample::Sample;
 
@@ -61,10 +61,10 @@ pub fn objective(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &
 /// # Errors
 /// As [`objective`].
 pub fn of_copies(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &mut Pcg64) -> Result<Objective> {
-    let mut crossing = Crossing::to(Device::flex().autodiff());
-    let copies = lifted.copied(&mut crossing)?;
+    let mut device_copies = DeviceCopies::to(Device::flex().autodiff());
+    let copies = lifted.copied(&mut device_copies)?;
     let objective = of_outputs(sample, &copies, judged, random)?;
-    let loss = crossing.back(&mut objective.loss.backward())?;
+    let loss = device_copies.back(&mut objective.loss.backward())?;
     Ok(Objective {
         loss: loss.unwrap_or_else(|| Tensor::zeros([1], &lifted.depth.device())),
         ..objective

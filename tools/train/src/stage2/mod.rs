@@ -22,14 +22,14 @@ pub use self::lifted::LiftedClip;
 use self::lifted::Lifter;
 pub use self::settings::Stage2Training;
 use self::views::{picture, seen, view};
+use crate::builder::SOURCE_CAMERAS;
 use crate::checkpoint::State;
-use crate::config::check_precision;
+use crate::config::{Cadence, check_precision};
 use crate::error::{Error, Result};
 use crate::perceptual::perceptual;
 use crate::picture::peak_signal;
 use crate::plan::ClipPlan;
-use crate::run::{Course, Evaluation, Rhythm, UpdateReport};
-use crate::sample::SOURCE_CAMERAS;
+use crate::run::{Evaluation, Trainer, UpdateReport};
 use crate::stream::Stream;
 
 /// Terms after the last update, and the colour difference after the first one.
@@ -126,7 +126,7 @@ impl Stage2Trainer {
     }
 }
 
-impl Course for Stage2Trainer {
+impl Trainer for Stage2Trainer {
     type Settings = Stage2Training;
     type Batch = LiftedClip;
 
@@ -137,8 +137,8 @@ impl Course for Stage2Trainer {
         &self.settings
     }
 
-    fn rhythm(&self) -> Rhythm {
-        self.settings.rhythm()
+    fn cadence(&self) -> Cadence {
+        self.settings.cadence()
     }
 
     fn state(&mut self) -> State<'_> {

@@ -7,9 +7,9 @@ use rogs_stage2::RefinerConfig;
 use rogs_stage2::objective::ObjectiveWeights;
 use serde::{Deserialize, Serialize};
 
+use crate::config::Cadence;
 use crate::config::{self, DataSettings};
 use crate::error::{Error, Result};
-use crate::run::Rhythm;
 
 /// A Stage-2 training run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -101,8 +101,8 @@ impl Stage2Training {
 
     /// When the run writes and scores.
     #[must_use]
-    pub fn rhythm(&self) -> Rhythm {
-        Rhythm {
+    pub fn cadence(&self) -> Cadence {
+        Cadence {
             steps: self.steps,
             checkpoint_every: self.checkpoint_every,
             evaluate_every: self.evaluate_every,
@@ -116,7 +116,7 @@ impl Stage2Training {
     pub fn check(&self) -> Result<()> {
         let network = RefinerConfig::preset(&self.preset)?;
         let wrong = |what, value: String, rule| Err(Error::Setting { what, value, rule });
-        self.rhythm().check()?;
+        self.cadence().check()?;
         let [fewest, most] = self.recurrence;
         if fewest < 1 || fewest > most || most > rogs_refine::MOST_UPDATES {
             return wrong(

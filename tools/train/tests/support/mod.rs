@@ -1,10 +1,10 @@
 //! Comparison of gradients.
 
 use rogs_tensors::optimiser::Gradients;
-use rogs_train::Course;
+use rogs_train::Trainer;
 
 /// The first moments after one update: a constant times the gradient.
-pub(crate) fn first_moments(trainer: &impl Course) -> Gradients {
+pub(crate) fn first_moments(trainer: &impl Trainer) -> Gradients {
     let moments = trainer.moments().by_name.iter();
     moments
         .map(|(name, [first, _])| (name.clone(), first.clone()))

@@ -7,14 +7,14 @@ use rogs_tensors::parameters::{from_host, to_host};
 use crate::error::Result;
 
 /// Copies of tensors on another device.
-pub(crate) struct Crossing {
+pub(crate) struct DeviceCopies {
     /// Where the copies lie.
     device: Device,
     /// Every tensor, and its copy where that records gradients. `[n]` each
     copied: Vec<(Tensor<1>, Tensor<1>)>,
 }
 
-impl Crossing {
+impl DeviceCopies {
     /// Nothing yet; copies record gradients where the device does.
     pub(crate) fn to(device: Device) -> Self {
         Self {
