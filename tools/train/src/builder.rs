@@ -9,7 +9,7 @@ use crate::config::DataSettings;
 use crate::plan::ClipPlan;
 
 /// Cameras whose images the network sees; their right eyes follow them in the episode.
-pub const SOURCE_CAMERAS: usize = 3;
+pub(crate) const SOURCE_CAMERAS: usize = 3;
 /// References outside this interval take no part in depth losses, metres (as in scoring).
 pub(crate) const DEPTH_RANGE_M: [f32; 2] = [0.1, 5.0];
 
