@@ -119,14 +119,3 @@ impl Provenance {
         self.material.key()
     }
 }
-
-/// Canonical JSON text of a serialisable value: objects sorted by key, no white space.
-///
-/// # Panics
-/// Never for the parameter types of the stages, which are plain structs.
-#[must_use]
-pub fn canonical_json<T: Serialize>(value: &T) -> String {
-    // `serde_json::Value` keeps object keys sorted (the `preserve_order` feature is off).
-    let value = serde_json::to_value(value).expect("parameters are plain data");
-    value.to_string()
-}

@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
 
@@ -91,6 +92,47 @@ pub struct PlannedUnit {
     pub job: Job,
 }
 
+/// Name of the folder with the ledgers in a run folder.
+pub const LEDGER_FOLDER: &str = "ledger";
+
+/// Name of the log in a clip's folder.
+pub const LOG_FILE: &str = "log.jsonl";
+
+/// The files of a run folder in which an attempt is noted: the log of its clip and the ledger of who tried.
+#[must_use]
+pub fn files_of(run: &Path, attempt: &Attempt) -> [PathBuf; 2] {
+    [
+        run.join("clips").join(&attempt.clip_id).join(LOG_FILE),
+        run.join(LEDGER_FOLDER).join(format!("{}.jsonl", attempt.worker)),
+    ]
+}
+
+/// This process as [`Attempt::worker`] names it: `HOST-PID`.
+#[must_use]
+pub fn this_worker() -> String {
+    format!("{}-{}", host(), std::process::id())
+}
+
+/// Name of this machine, safe as a part of file names: characters other than `[A-Za-z0-9._-]` become `_`.
+#[must_use]
+pub fn host() -> String {
+    let name = std::fs::read_to_string("/proc/sys/kernel/hostname")
+        .ok()
+        .or_else(|| std::env::var("HOSTNAME").ok())
+        .unwrap_or_default();
+    let safe = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
+    let name: String = (name.trim().chars()).map(|c| if safe(c) { c } else { '_' }).collect();
+    if name.is_empty() { "host".to_owned() } else { name }
+}
+
+/// Now, for [`Attempt::unix_ms`].
+#[must_use]
+pub fn now_ms() -> u64 {
+    SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_or(0, |time| time.as_millis() as u64)
+}
+
 /// Appends one attempt to a file as one line in one write, making the file and its folder where needed.
 ///
 /// # Errors
@@ -138,6 +180,14 @@ pub fn read(path: &Path) -> Result<Vec<Attempt>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn codes_are_read_as_they_were_written() {
+        for (text, code) in [("resource", FailureCode::Resource), ("deadline", FailureCode::Deadline)] {
+            let line = format!("{{\"code\": \"{text}\", \"message\": \"m\"}}");
+            assert_eq!(serde_json::from_str::<Failure>(&line).unwrap().code, code);
+        }
+    }
 
     #[test]
     fn a_torn_line_costs_only_itself() {

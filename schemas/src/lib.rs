@@ -5,6 +5,7 @@ pub mod atomic;
 pub mod episode;
 pub mod error;
 mod fault;
+pub mod json;
 pub mod key;
 pub mod ledger;
 mod memory;
@@ -17,6 +18,7 @@ pub mod source;
 pub mod units;
 
 pub use error::{Error, Result};
-pub use key::{CacheKey, ContentHash, KeyMaterial, Provenance, canonical_json};
+pub use json::{canonical_json, overlay};
+pub use key::{CacheKey, ContentHash, KeyMaterial, Provenance};
 pub use pose::{Intrinsics, RigidPose};
 pub use record::{FileInfo, Record, SchemaId, read_record, write_record};

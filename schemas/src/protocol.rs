@@ -90,6 +90,8 @@ pub enum FailureCode {
     Resource,
     /// Reading or writing failed; trying again may help.
     Io,
+    /// It took longer than the run allows and was given up; trying again would take as long.
+    Deadline,
     /// A bug: the worker caught a panic.
     Internal,
 }
@@ -122,4 +124,31 @@ pub struct InputDescription {
     pub required: bool,
     /// Schema name of a container input, or `folder` / `file` for anything else.
     pub kind: String,
+}
+
+impl InputDescription {
+    /// An input without which the stage cannot run.
+    #[must_use]
+    pub fn required(role: &str, kind: &str) -> Self {
+        Self {
+            role: role.to_owned(),
+            required: true,
+            kind: kind.to_owned(),
+        }
+    }
+
+    /// An input that a job may leave out.
+    #[must_use]
+    pub fn optional(role: &str, kind: &str) -> Self {
+        Self {
+            required: false,
+            ..Self::required(role, kind)
+        }
+    }
+
+    /// True for an output of another stage, false for a source.
+    #[must_use]
+    pub fn is_record(&self) -> bool {
+        self.kind.starts_with("rogs.")
+    }
 }

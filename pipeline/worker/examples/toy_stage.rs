@@ -43,15 +43,10 @@ impl Stage for Toy {
     type Params = Params;
 
     fn inputs() -> Vec<InputDescription> {
-        let input = |role: &str, required, kind: &str| InputDescription {
-            role: role.into(),
-            required,
-            kind: kind.into(),
-        };
         vec![
-            input("source", true, "file"),
-            input("before", false, Scores::SCHEMA.name),
-            input("weights", false, "file"),
+            InputDescription::required("source", "file"),
+            InputDescription::optional("before", Scores::SCHEMA.name),
+            InputDescription::optional("weights", "file"),
         ]
     }
 

@@ -3,13 +3,13 @@
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use rogs_schemas::ledger::{self, Attempt, Failure, Outcome, PlannedUnit};
-use rogs_schemas::protocol::FailureCode;
+use rogs_schemas::protocol::{FailureCode, InputDescription};
 
-use crate::cli::{EXIT_FAILED, EXIT_OK, EXIT_TEMPORARY};
 use crate::error::{StageError, StageResult};
+use crate::exit::{EXIT_FAILED, EXIT_OK, EXIT_TEMPORARY};
 use crate::job::Runner;
 use crate::serve::{InHand, drain_on_signals, draining};
 use crate::stage::Stage;
@@ -93,9 +93,7 @@ fn run_unit<S: Stage>(runner: &mut Runner<S>, unit: &PlannedUnit, counts: &mut C
         made.map_err(|error| StageError::io(format!("cannot make the folder of `{}`: {error}", job.output.display())));
     let result = made.and_then(|()| runner.run(job, &mut |_, _| {}));
     let mut attempt = Attempt {
-        unix_ms: SystemTime::now()
-            .duration_since(UNIX_EPOCH)
-            .map_or(0, |time| time.as_millis() as u64),
+        unix_ms: ledger::now_ms(),
         clip_id: job.clip_id.clone(),
         stage: S::NAME.to_owned(),
         output: job.output.strip_prefix(&unit.run).unwrap_or(&job.output).to_owned(),
@@ -108,7 +106,7 @@ fn run_unit<S: Stage>(runner: &mut Runner<S>, unit: &PlannedUnit, counts: &mut C
         warnings: Vec::new(),
         failure: None,
         stderr: Vec::new(),
-        worker: format!("{}-{}", host(), std::process::id()),
+        worker: ledger::this_worker(),
     };
     match result {
         Ok(report) => {
@@ -133,9 +131,7 @@ fn run_unit<S: Stage>(runner: &mut Runner<S>, unit: &PlannedUnit, counts: &mut C
             attempt.failure = Some(Failure { code, message, hint });
         }
     }
-    let ledger = unit.run.join("ledger").join(format!("{}.jsonl", attempt.worker));
-    let log = unit.run.join("clips").join(&job.clip_id).join("log.jsonl");
-    for file in [log, ledger] {
+    for file in ledger::files_of(&unit.run, &attempt) {
         // Records are for people; the output counts without them.
         if let Err(error) = ledger::append(&file, &attempt) {
             eprintln!("warning: {error}");
@@ -145,7 +141,7 @@ fn run_unit<S: Stage>(runner: &mut Runner<S>, unit: &PlannedUnit, counts: &mut C
 
 /// The output of a stage before that is not there: that stage failed on the clip, or has not run.
 fn missing_input<S: Stage>(unit: &PlannedUnit) -> Option<String> {
-    let records = S::inputs().into_iter().filter(|input| input.kind.starts_with("rogs."));
+    let records = S::inputs().into_iter().filter(InputDescription::is_record);
     records.into_iter().find_map(|input| {
         let path = unit.job.inputs.get(&input.role)?;
         (!path.exists()).then(|| format!("`{}` ({})", input.role, path.display()))
@@ -160,7 +156,7 @@ fn shard_index(text: &str) -> StageResult<u32> {
     let parse = |text: &str, from: &str| {
         text.trim()
             .parse()
-            .map_err(|_| StageError::bad_params(format!("`{text}` in {from} is no shard index")))
+            .map_err(|_| StageError::bad_params(format!("invalid shard index `{text}` in {from}: expected a number")))
     };
     if text != "auto" {
         return parse(text, "--shard-index");
@@ -196,14 +192,4 @@ fn read_units(plan: &Path, stage: &str, shard: u32, shards: Option<u32>) -> Stag
         }
     }
     Ok(units)
-}
-
-fn host() -> String {
-    let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-    let safe: String = name
-        .trim()
-        .chars()
-        .filter(|c| c.is_ascii_alphanumeric() || "._-".contains(*c))
-        .collect();
-    if safe.is_empty() { "host".to_owned() } else { safe }
 }

@@ -11,20 +11,12 @@ use rogs_schemas::protocol::InputDescription;
 use crate::batch::{BatchArguments, batch};
 use crate::describe::describe;
 use crate::error::{StageError, StageResult};
+use crate::exit::{EXIT_OK, EXIT_TEMPORARY, EXIT_USAGE, print_error};
 use crate::one::{OneArguments, one};
 use crate::params::read_arguments;
 use crate::serve::serve;
 use crate::stage::Stage;
 use crate::sys;
-
-/// Exit status: everything asked for is done.
-pub const EXIT_OK: u8 = 0;
-/// Exit status: at least one unit failed for good.
-pub const EXIT_FAILED: u8 = 1;
-/// Exit status: the command line, the plan or the parameters are wrong.
-pub const EXIT_USAGE: u8 = 2;
-/// Exit status: stopped early by a signal or a passing trouble; run again (`EX_TEMPFAIL`).
-pub const EXIT_TEMPORARY: u8 = 75;
 
 /// The `main` of a stage program.
 pub fn stage_main<S: Stage>() -> ExitCode {
@@ -90,7 +82,7 @@ fn dispatch<S: Stage>(matches: &ArgMatches) -> StageResult<ExitCode> {
         Some(("describe", matches)) => {
             let description = describe::<S>(&params_of(matches)?)?;
             let text = serde_json::to_string_pretty(&description)
-                .map_err(|error| StageError::internal(format!("description is no JSON: {error}")))?;
+                .map_err(|error| StageError::internal(format!("the description is not JSON: {error}")))?;
             println!("{text}");
             Ok(ExitCode::from(EXIT_OK))
         }
@@ -214,7 +206,7 @@ fn forever(text: String) -> &'static str {
 }
 
 fn input_argument(input: &InputDescription) -> Arg {
-    let kind = if input.kind.starts_with("rogs.") {
+    let kind = if input.is_record() {
         format!("a `{}` file", input.kind)
     } else {
         input.kind.clone()
@@ -234,12 +226,4 @@ fn input_argument(input: &InputDescription) -> Arg {
         .required(input.required)
         .value_parser(value_parser!(PathBuf))
         .help(help)
-}
-
-/// Prints a failure as a person should see it.
-pub(crate) fn print_error(error: &StageError) {
-    eprintln!("error: {error}");
-    if let Some(hint) = &error.hint {
-        eprintln!("hint: {hint}");
-    }
 }

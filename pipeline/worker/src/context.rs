@@ -8,6 +8,7 @@ use rogs_schemas::key::{CacheKey, ContentHash, Provenance};
 use rogs_schemas::record::Record;
 
 use crate::error::{StageError, StageResult};
+use crate::observer::Observer;
 
 /// What a running stage sees: its inputs, where to put the output, and how to report.
 pub struct Context<'a> {
@@ -146,5 +147,19 @@ impl Context<'_> {
     /// Adds seconds that were measured elsewhere to the report under `name`.
     pub fn add_seconds(&mut self, name: &str, seconds: f64) {
         *self.seconds.entry(name.to_owned()).or_default() += seconds;
+    }
+}
+
+impl Observer for Context<'_> {
+    fn progress(&mut self, fraction: f64, what: &str) {
+        Context::progress(self, fraction, what);
+    }
+
+    fn add_seconds(&mut self, name: &str, seconds: f64) {
+        Context::add_seconds(self, name, seconds);
+    }
+
+    fn warn(&mut self, warning: String) {
+        Context::warn(self, warning);
     }
 }

@@ -14,7 +14,7 @@ use crate::stage::Stage;
 /// When the parameters are wrong.
 pub fn describe<S: Stage>(params: &Value) -> StageResult<Description> {
     let params: S::Params = parse_params(params)?;
-    let wrong = |error: serde_json::Error| StageError::internal(format!("parameters are no plain data: {error}"));
+    let wrong = |error: serde_json::Error| StageError::internal(format!("parameters are not plain data: {error}"));
     Ok(Description {
         stage: S::NAME.to_owned(),
         summary: S::SUMMARY.to_owned(),

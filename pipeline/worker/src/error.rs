@@ -3,6 +3,7 @@
 use std::io::ErrorKind;
 
 use rogs_schemas::protocol::FailureCode;
+use rustix::io::Errno;
 
 /// Result of a stage.
 pub type StageResult<T> = Result<T, StageError>;
@@ -106,7 +107,7 @@ fn classify_io(error: &std::io::Error) -> (FailureCode, Option<&'static str>) {
             FailureCode::BadInput,
             Some("check the permissions of the file and of its folder"),
         ),
-        _ if matches!(error.raw_os_error(), Some(libc::EMFILE | libc::ENFILE)) => (
+        _ if matches!(Errno::from_io_error(error), Some(Errno::MFILE | Errno::NFILE)) => (
             FailureCode::Resource,
             Some("too many open files: use fewer workers or raise `ulimit -n`"),
         ),

@@ -192,11 +192,7 @@ fn check<S: Stage>(job: &Job) -> StageResult<S::Params> {
 
 /// Stamps of the inputs that are not records of this pipeline.
 fn source_stamps<S: Stage>(job: &Job) -> BTreeMap<String, Stamp> {
-    let is_record = |role: &str| {
-        S::inputs()
-            .iter()
-            .any(|input| input.role == role && input.kind.starts_with("rogs."))
-    };
+    let is_record = |role: &str| S::inputs().iter().any(|input| input.role == role && input.is_record());
     let stamp = |path: &PathBuf| {
         let metadata = std::fs::metadata(path).ok();
         let length = metadata.as_ref().map_or(0, std::fs::Metadata::len);

@@ -11,8 +11,8 @@ use rogs_schemas::protocol::Job;
 use rogs_schemas::source::hash_source;
 use serde_json::Value;
 
-use crate::cli::{EXIT_FAILED, EXIT_OK, print_error};
 use crate::error::{StageError, StageResult};
+use crate::exit::{EXIT_FAILED, EXIT_OK, print_error};
 use crate::job::{Report, Runner};
 use crate::params::{canonical, parse_params};
 use crate::serve::drain_on_signals;
@@ -57,7 +57,7 @@ fn job_of<S: Stage>(arguments: &OneArguments) -> StageResult<Job> {
         let Some(path) = arguments.inputs.get(&input.role) else {
             continue;
         };
-        let id = if input.kind.starts_with("rogs.") {
+        let id = if input.is_record() {
             rogs_schemas::r4c::Reader::open(path)?.provenance().key().to_string()
         } else {
             hash_source(&input.role, path)?.to_string()

@@ -1,6 +1,6 @@
 //! Reading parameters from JSON and from the command line.
 
-use rogs_schemas::canonical_json;
+use rogs_schemas::{canonical_json, overlay};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
@@ -25,7 +25,7 @@ pub fn parse_params<P: Serialize + DeserializeOwned + Default>(given: &Value) ->
     let params = serde_json::from_value::<P>(given.clone()).or_else(|direct| {
         // A parameter struct without serde defaults: fill the gaps from `Default`.
         let mut merged = serde_json::to_value(P::default()).map_err(|error| error.to_string())?;
-        merge(&mut merged, given);
+        overlay(&mut merged, given);
         serde_json::from_value(merged).map_err(|_| direct.to_string())
     });
     let params = params.map_err(|why: String| StageError::bad_params(format!("wrong parameters: {why}")))?;
@@ -40,18 +40,6 @@ pub fn parse_params<P: Serialize + DeserializeOwned + Default>(given: &Value) ->
 /// Canonical JSON of parameters given as JSON, with the defaults filled in.
 pub(crate) fn canonical<P: Serialize>(params: &P) -> String {
     canonical_json(params)
-}
-
-/// Overlays `given` on `base`, table by table.
-pub(crate) fn merge(base: &mut Value, given: &Value) {
-    match (base, given) {
-        (Value::Object(base), Value::Object(given)) => {
-            for (name, value) in given {
-                merge(base.entry(name.clone()).or_insert(Value::Null), value);
-            }
-        }
-        (base, given) => *base = given.clone(),
-    }
 }
 
 /// A name in `given` that the understood parameters do not have, with those that they do have.
@@ -80,10 +68,10 @@ pub(crate) fn read_arguments(arguments: &[String]) -> StageResult<Value> {
             let nest = |value, name: &str| Value::Object(Map::from_iter([(name.trim().to_owned(), value)]));
             name.rsplit('.').fold(value, nest)
         } else {
-            return Err(StageError::bad_params(format!("`{argument}` is no parameter"))
+            return Err(StageError::bad_params(format!("invalid parameter `{argument}`"))
                 .with_hint("write NAME=VALUE, a JSON object, or @FILE"));
         };
-        merge(&mut all, &value);
+        overlay(&mut all, &value);
     }
     Ok(all)
 }

@@ -8,12 +8,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use rogs_schemas::protocol::{Event, Job};
+use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
 
-use crate::cli::{EXIT_OK, EXIT_TEMPORARY, EXIT_USAGE};
 use crate::error::StageError;
+use crate::exit::{EXIT_OK, EXIT_TEMPORARY, EXIT_USAGE};
 use crate::job::{self, Runner};
 use crate::stage::Stage;
-use crate::sys;
+use crate::sys::{self, Termination};
 
 /// Longest job line, bytes; a longer one is not ours.
 const MAX_LINE: u64 = 4 << 20;
@@ -50,13 +51,11 @@ impl Drop for InHand {
 
 /// On TERM, USR1 or INT: no new job; the one in hand has `grace` to finish, then it is abandoned. Exits 75 at once
 /// when no job is in hand.
-pub(crate) fn drain_on_signals(grace: Duration) -> std::io::Result<()> {
-    let mut deadline = None;
-    sys::on_termination(&[libc::SIGTERM, libc::SIGUSR1, libc::SIGINT], move |_| {
+pub(crate) fn drain_on_signals(grace: Duration) -> std::io::Result<Termination> {
+    Termination::watch(&[SIGTERM, SIGUSR1, SIGINT], move || {
         DRAINING.store(true, Ordering::SeqCst);
-        let repeated = deadline.is_some();
-        let until = *deadline.get_or_insert_with(|| Instant::now() + grace);
-        while IN_HAND.load(Ordering::SeqCst) && !repeated && Instant::now() < until {
+        let until = Instant::now() + grace;
+        while IN_HAND.load(Ordering::SeqCst) && Instant::now() < until {
             std::thread::sleep(Duration::from_millis(20));
         }
         job::abandon();
@@ -66,8 +65,9 @@ pub(crate) fn drain_on_signals(grace: Duration) -> std::io::Result<()> {
 
 /// Serves jobs until the end of stdin.
 pub(crate) fn serve<S: Stage>(grace: Duration) -> ExitCode {
-    let events = match sys::take_stdout().and_then(|events| drain_on_signals(grace).map(|()| events)) {
-        Ok(events) => Mutex::new(events),
+    let set_up = sys::take_stdout().and_then(|events| Ok((Mutex::new(events), drain_on_signals(grace)?)));
+    let (events, termination) = match set_up {
+        Ok(set_up) => set_up,
         Err(error) => {
             eprintln!("error: cannot set up the worker: {error}");
             return ExitCode::from(EXIT_USAGE);
@@ -87,7 +87,7 @@ pub(crate) fn serve<S: Stage>(grace: Duration) -> ExitCode {
         line.clear();
         match stdin.by_ref().take(MAX_LINE).read_until(b'\n', &mut line) {
             // Whoever sent a signal and then closed the pipe gets the answer to the signal.
-            Ok(0) if sys::signalled() => return ExitCode::from(EXIT_TEMPORARY),
+            Ok(0) if termination.arrived() => return ExitCode::from(EXIT_TEMPORARY),
             Ok(0) => return ExitCode::from(EXIT_OK),
             Ok(_) => {}
             Err(error) => {
@@ -105,7 +105,7 @@ pub(crate) fn serve<S: Stage>(grace: Duration) -> ExitCode {
         let job: Job = match serde_json::from_slice(&line) {
             Ok(job) => job,
             Err(error) => {
-                eprintln!("error: a line on stdin is no job: {error}");
+                eprintln!("error: a line on stdin is not a job: {error}");
                 return ExitCode::from(EXIT_USAGE);
             }
         };

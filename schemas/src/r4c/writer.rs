@@ -15,7 +15,8 @@ use super::layout::{
 use super::stream::{Codec, Dtype, Element, Frame, StreamInfo, StreamSpec, Unit};
 use super::{CONTAINER_VERSION, FEATURE_PLANES, META_CONTENT, META_PROVENANCE, codec};
 use crate::error::{Error, Result};
-use crate::key::{CacheKey, ContentHash, Provenance, canonical_json};
+use crate::json::canonical_json;
+use crate::key::{CacheKey, ContentHash, Provenance};
 use crate::record::SchemaId;
 
 /// The schema block.

@@ -26,12 +26,10 @@ impl Stage for ConditioningStage {
     type Params = Params;
 
     fn inputs() -> Vec<InputDescription> {
-        let input = |role: &str, kind: &str| InputDescription {
-            role: role.into(),
-            required: true,
-            kind: kind.into(),
-        };
-        vec![input("clip", Clip::SCHEMA.name), input("robot", RobotMaps::SCHEMA.name)]
+        vec![
+            InputDescription::required("clip", Clip::SCHEMA.name),
+            InputDescription::required("robot", RobotMaps::SCHEMA.name),
+        ]
     }
 
     fn load(params: &Params, _inputs: &BTreeMap<String, PathBuf>) -> StageResult<Self> {

@@ -49,12 +49,10 @@ impl Stage for Ingest {
     type Params = Params;
 
     fn inputs() -> Vec<InputDescription> {
-        let input = |role: &str, required, kind: &str| InputDescription {
-            role: role.into(),
-            required,
-            kind: kind.into(),
-        };
-        vec![input("episode", true, "folder"), input("calibration", false, "file")]
+        vec![
+            InputDescription::required("episode", "folder"),
+            InputDescription::optional("calibration", "file"),
+        ]
     }
 
     fn load(params: &Params, _inputs: &BTreeMap<String, PathBuf>) -> StageResult<Self> {

@@ -11,11 +11,11 @@ use rogs_geometry::{Camera, Pose, Recon, Similarity, pixel_centre, quaternion_pr
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::{RAW_CHANNELS, TimeSlice};
 use rogs_schemas::units::UNITS_PER_METRE;
-use rogs_worker::{StageError, StageResult};
+use rogs_worker::{Part, StageError, StageResult};
 
 use crate::lifting::{Base, MotionHeads, lift_base};
 use crate::source::{Source, View};
-use crate::{LiftParams, Model, Phases, Work, lift_slices, stage_error};
+use crate::{Lifting, stage_error};
 
 /// From the lifting of one camera, in the frame of its first view and in its own unit, to the reconstruction frame.
 #[derive(Debug, Clone, Copy)]
@@ -27,30 +27,27 @@ struct Transport {
 }
 
 /// Lifts every camera by itself; base field and slices of all of them in the order of the views.
-pub(crate) fn lift(
-    run: &mut Phases<'_>,
-    model: &Model,
-    params: &LiftParams,
-    source: &Source<'_>,
-) -> StageResult<(Base, Vec<TimeSlice>)> {
+pub(crate) fn lift(all: &mut Lifting<'_>, source: &Source<'_>) -> StageResult<(Base, Vec<TimeSlice>)> {
     let mut cameras: Vec<u32> = source.views.iter().map(|view| view.view.camera).collect();
     cameras.dedup();
     let mut merged: Option<(Base, Vec<TimeSlice>)> = None;
     for (done, &camera) in cameras.iter().enumerate() {
-        let share = cameras.len() as f64;
-        let mut scaled = |name: &str, fraction: f64, work: Work<'_>| {
-            (run.phase)(name, (done as f64 + fraction) / share, work);
+        let share = 1.0 / cameras.len() as f64;
+        let (model, params) = (all.model, all.params);
+        let mut lifting = Lifting {
+            model,
+            params,
+            observer: &mut Part::new(all.observer, done as f64 * share, share),
         };
-        let mut run = Phases { phase: &mut scaled };
         let (alone, transport) = alone(source, camera)?;
         let network = &model.network;
         let (frames, images) = alone.frames(params, network.parameters.device());
-        let encoded = run.phase("encode", 0.0, || network.encode(&frames))?;
-        let mut base = run.phase("base heads", 0.3, || {
+        let encoded = lifting.phase("encode", 0.0, || network.encode(&frames))?;
+        let mut base = lifting.phase("base heads", 0.3, || {
             lift_base(network, &encoded, &images, &alone, params)
         })?;
         let heads = MotionHeads::load(network, alone.views.len()).map_err(stage_error)?;
-        let mut slices = lift_slices(&mut run, &heads, &encoded, &base, &alone, params)?;
+        let mut slices = lifting.slices(&alone, &heads, &encoded, &base)?;
         transport.apply_to_base(&mut base);
         slices.iter_mut().for_each(|slice| transport.apply_to_slice(slice));
         match &mut merged {

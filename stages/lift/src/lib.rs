@@ -31,7 +31,7 @@ use rogs_schemas::records::robot::RobotMaps;
 use rogs_stage1::{Encoded, SourceFrames, Stage1};
 use rogs_tensors::Error;
 use rogs_tensors::parameters::Parameters;
-use rogs_worker::{Context, Stage, StageError, StageResult};
+use rogs_worker::{Context, Observer, Stage, StageError, StageResult};
 pub use source::RobotAtTime;
 
 use crate::lifting::{Anchor, Base, Branch, MotionHeads, lift_base};
@@ -53,18 +53,13 @@ impl Stage for Lift {
     type Params = LiftParams;
 
     fn inputs() -> Vec<InputDescription> {
-        let input = |role: &str, kind: &str, required: bool| InputDescription {
-            role: role.into(),
-            required,
-            kind: kind.into(),
-        };
         vec![
-            input("clip", Clip::SCHEMA.name, true),
-            input("robot", RobotMaps::SCHEMA.name, true),
-            input("conditioning", Conditioning::SCHEMA.name, true),
-            input("weights", "file", false),
-            input("latents", "file", false),
-            input("adapter", "file", false),
+            InputDescription::required("clip", Clip::SCHEMA.name),
+            InputDescription::required("robot", RobotMaps::SCHEMA.name),
+            InputDescription::required("conditioning", Conditioning::SCHEMA.name),
+            InputDescription::optional("weights", "file"),
+            InputDescription::optional("latents", "file"),
+            InputDescription::optional("adapter", "file"),
         ]
     }
 
@@ -101,26 +96,15 @@ impl Stage for Lift {
         let robot: RobotMaps = context.read("robot")?;
         let conditioning: Conditioning = context.read("conditioning")?;
         let latents = context.optional_input("latents").map(PathBuf::from);
-        let mut warnings = Vec::new();
-        let mut phase = |name: &str, fraction: f64, work: Work<'_>| {
-            context.progress(fraction, name);
-            context.timed(name, |_| work());
-        };
         let inputs = ClipInputs {
-            clip: &clip,
-            robot: &robot,
-            conditioning: &conditioning,
             latents: latents.as_deref(),
             adapter: self.adapter.as_ref(),
+            ..ClipInputs::new(&clip, &robot, &conditioning)
         };
-        let field = lift_inputs(&self.model, &self.params, inputs, &mut phase, &mut warnings)?;
-        warnings.into_iter().for_each(|warning| context.warn(warning));
+        let field = lift_clip(&self.model, &self.params, inputs, context)?;
         context.timed("write", |context| context.write(&field))
     }
 }
-
-/// A phase of lifting, to be run by whoever observes it.
-pub type Work<'w> = &'w mut dyn FnMut();
 
 /// What a clip is lifted from.
 #[derive(Clone, Copy)]
@@ -137,28 +121,18 @@ pub struct ClipInputs<'a> {
     pub adapter: Option<&'a Parameters>,
 }
 
-/// Lifts one clip from its images. `phase` is called with the name of each phase and the fraction done before it, and must
-/// run the work it is given; `warnings` collects what a person should know.
-///
-/// # Errors
-/// When the inputs do not fit each other or the network.
-pub fn lift_clip(
-    model: &Model,
-    params: &LiftParams,
-    clip: &Clip,
-    robot: &RobotMaps,
-    conditioning: &Conditioning,
-    phase: &mut dyn FnMut(&str, f64, Work<'_>),
-    warnings: &mut Vec<String>,
-) -> StageResult<Field> {
-    let inputs = ClipInputs {
-        clip,
-        robot,
-        conditioning,
-        latents: None,
-        adapter: None,
-    };
-    lift_inputs(model, params, inputs, phase, warnings)
+impl<'a> ClipInputs<'a> {
+    /// What a clip without latents is lifted from.
+    #[must_use]
+    pub fn new(clip: &'a Clip, robot: &'a RobotMaps, conditioning: &'a Conditioning) -> Self {
+        Self {
+            clip,
+            robot,
+            conditioning,
+            latents: None,
+            adapter: None,
+        }
+    }
 }
 
 /// What the network sees of a clip, and its latents on the grid of 2 x 2 cells per token (`[S, 48, 2 rows, 2 columns]`), for
@@ -178,38 +152,35 @@ pub fn latent_inputs(
     Ok((source.frames(params, device).0, cells))
 }
 
-/// The same from all that a clip may come with.
+/// Lifts one clip. `observer` hears each phase (`encode`, `base heads`, `motion heads`) and what a person should know.
 ///
 /// # Errors
-/// As [`lift_clip`], and when latents or their adapter are needed and missing, or do not fit.
-pub fn lift_inputs(
+/// When the inputs do not fit each other or the network, and when latents or their adapter are needed and missing.
+pub fn lift_clip(
     model: &Model,
     params: &LiftParams,
     inputs: ClipInputs<'_>,
-    phase: &mut dyn FnMut(&str, f64, Work<'_>),
-    warnings: &mut Vec<String>,
+    observer: &mut dyn Observer,
 ) -> StageResult<Field> {
     params.validate()?;
     let ClipInputs {
         clip,
         robot,
         conditioning,
-        ..
+        latents,
+        adapter,
     } = inputs;
-    let mut run = Phases { phase };
     let source = Source::new(clip, robot, conditioning, params)?;
+    let mut lifting = Lifting {
+        model,
+        params,
+        observer,
+    };
     let (base, slices, query_state) = if params.attention == CrossCamera::CameraWise {
-        let (base, slices) = camera_wise::lift(&mut run, model, params, &source)?;
+        let (base, slices) = camera_wise::lift(&mut lifting, &source)?;
         (base, slices, Vec::new())
     } else {
-        lift_jointly(
-            &mut run,
-            model,
-            params,
-            &source,
-            (inputs.latents, inputs.adapter),
-            warnings,
-        )?
+        lifting.jointly(&source, latents, adapter)?
     };
     Ok(Field {
         clip_id: clip.clip_id.clone(),
@@ -229,114 +200,114 @@ pub fn lift_inputs(
     })
 }
 
-/// All cameras in one pass of the network.
-fn lift_jointly(
-    run: &mut Phases<'_>,
-    model: &Model,
-    params: &LiftParams,
-    source: &Source<'_>,
-    (latents, adapter): (Option<&Path>, Option<&Parameters>),
-    warnings: &mut Vec<String>,
-) -> StageResult<(Base, Vec<TimeSlice>, Vec<NamedArray>)> {
-    let network = &model.network;
-    let (frames, images) = source.frames(params, network.parameters.device());
-    let encoded = match params.tokens {
-        TokenSource::Rgb => run.phase("encode", 0.0, || network.encode(&frames))?,
-        TokenSource::Latents => {
-            let missing = |what: &str| {
-                StageError::bad_input(format!("`tokens = \"latents\"` needs the input `{what}`"))
-                    .with_hint("name a file for it (in a run: CLIP.safetensors in the [latents] folder), or set `tokens` to \"rgb\"")
-            };
-            let path = latents.ok_or_else(|| missing("latents"))?;
-            let adapter = adapter.ok_or_else(|| missing("adapter"))?;
-            let tokens = latents::tokens(path, adapter, network, source, params)?;
-            run.phase("encode", 0.0, || network.encode_tokens(&frames, tokens))?
+/// How clips are lifted, and who hears of it.
+struct Lifting<'a> {
+    model: &'a Model,
+    params: &'a LiftParams,
+    observer: &'a mut dyn Observer,
+}
+
+impl Lifting<'_> {
+    /// All cameras in one pass of the network: the base field, its state at the stored times, and what answers others.
+    fn jointly(
+        &mut self,
+        source: &Source<'_>,
+        latents: Option<&Path>,
+        adapter: Option<&Parameters>,
+    ) -> StageResult<(Base, Vec<TimeSlice>, Vec<NamedArray>)> {
+        let (network, params) = (&self.model.network, self.params);
+        let (frames, images) = source.frames(params, network.parameters.device());
+        let encoded = match params.tokens {
+            TokenSource::Rgb => self.phase("encode", 0.0, || network.encode(&frames))?,
+            TokenSource::Latents => {
+                let missing = |what: &str| {
+                    StageError::bad_input(format!("`tokens = \"latents\"` needs the input `{what}`")).with_hint(
+                        "name a file for it (in a run: CLIP.safetensors in the [latents] folder), or set `tokens` to \"rgb\"",
+                    )
+                };
+                let path = latents.ok_or_else(|| missing("latents"))?;
+                let adapter = adapter.ok_or_else(|| missing("adapter"))?;
+                let tokens = latents::tokens(path, adapter, network, source, params)?;
+                self.phase("encode", 0.0, || network.encode_tokens(&frames, tokens))?
+            }
+        };
+        drop(frames);
+        let base = self.phase("base heads", 0.3, || {
+            lift_base(network, &encoded, &images, source, params)
+        })?;
+        drop(images);
+        let heads = MotionHeads::load(network, source.views.len()).map_err(stage_error)?;
+        if params.fk_conditioning && !heads.has_fk_branch() {
+            let warning = "the weights have no FK-conditioning branch: motion is the visual displacement alone";
+            self.observer.warn(warning.into());
         }
-    };
-    drop(frames);
-    let base = run.phase("base heads", 0.3, || {
-        lift_base(network, &encoded, &images, source, params)
-    })?;
-    drop(images);
-    let heads = MotionHeads::load(network, source.views.len()).map_err(stage_error)?;
-    if params.fk_conditioning && !heads.has_fk_branch() {
-        warnings.push("the weights have no FK-conditioning branch: motion is the visual displacement alone".into());
+        let slices = self.slices(source, &heads, &encoded, &base)?;
+        let query_state = if params.keeps_query_state(&self.model.info.configuration) {
+            query::keep(&encoded).map_err(stage_error)?
+        } else {
+            Vec::new()
+        };
+        Ok((base, slices, query_state))
     }
-    let slices = lift_slices(run, &heads, &encoded, &base, source, params)?;
-    let query_state = if params.keeps_query_state(&model.info.configuration) {
-        query::keep(&encoded).map_err(stage_error)?
-    } else {
-        Vec::new()
-    };
-    Ok((base, slices, query_state))
-}
 
-/// The field at every time that the clip asks for.
-fn lift_slices(
-    run: &mut Phases<'_>,
-    heads: &MotionHeads,
-    encoded: &Encoded,
-    base: &Base,
-    source: &Source<'_>,
-    params: &LiftParams,
-) -> StageResult<Vec<TimeSlice>> {
-    // Kinematic transport of a field without anchoring follows the mask of the maps.
-    let masked = if params.anchoring {
-        Vec::new()
-    } else {
-        robot_links(source)
-    };
-    let anchor = Anchor {
-        base_raw: &base.raw,
-        link: if params.anchoring { &base.link } else { &masked },
-    };
-    let options = MotionOptions {
-        gates: params.gates(),
-        robot_motion: params.robot_motion,
-    };
-    let branch = if params.fk_conditioning {
-        Branch::Maps
-    } else {
-        Branch::Zeros
-    };
-    let needs_robot = params.fk_conditioning || params.robot_motion == RobotMotion::Kinematics;
-    let (area, frames) = (source.area(), source.clip.field_frames());
-    let mut slices = Vec::with_capacity(frames.len());
-    for (done, &frame) in frames.iter().enumerate() {
-        let mut robot = Vec::with_capacity(source.views.len());
-        for view in 0..source.views.len() {
-            let positions = (!params.anchoring).then(|| &base.position_m[view * area * 3..][..area * 3]);
-            robot.push(if needs_robot {
-                Some(source.robot_at(view, frame, positions)?)
-            } else {
-                None
-            });
+    /// The field at every time that the clip asks for.
+    fn slices(
+        &mut self,
+        source: &Source<'_>,
+        heads: &MotionHeads,
+        encoded: &Encoded,
+        base: &Base,
+    ) -> StageResult<Vec<TimeSlice>> {
+        let params = self.params;
+        // Kinematic transport of a field without anchoring follows the mask of the maps.
+        let masked = if params.anchoring {
+            Vec::new()
+        } else {
+            robot_links(source)
+        };
+        let anchor = Anchor {
+            base_raw: &base.raw,
+            link: if params.anchoring { &base.link } else { &masked },
+        };
+        let options = MotionOptions {
+            gates: params.gates(),
+            robot_motion: params.robot_motion,
+        };
+        let branch = if params.fk_conditioning {
+            Branch::Maps
+        } else {
+            Branch::Zeros
+        };
+        let needs_robot = params.fk_conditioning || params.robot_motion == RobotMotion::Kinematics;
+        let (area, frames) = (source.area(), source.clip.field_frames());
+        let mut slices = Vec::with_capacity(frames.len());
+        for (done, &frame) in frames.iter().enumerate() {
+            let mut robot = Vec::with_capacity(source.views.len());
+            for view in 0..source.views.len() {
+                let positions = (!params.anchoring).then(|| &base.position_m[view * area * 3..][..area * 3]);
+                robot.push(if needs_robot {
+                    Some(source.robot_at(view, frame, positions)?)
+                } else {
+                    None
+                });
+            }
+            let time = time_of_frame(frame, source.clip.frame_count());
+            let fraction = 0.45 + 0.5 * done as f64 / frames.len() as f64;
+            slices.push(self.phase("motion heads", fraction, || {
+                heads.slice(encoded, &anchor, time, options, &robot, branch)
+            })?);
         }
-        let time = time_of_frame(frame, source.clip.frame_count());
-        let fraction = 0.45 + 0.5 * done as f64 / frames.len() as f64;
-        slices.push(run.phase("motion heads", fraction, || {
-            heads.slice(encoded, &anchor, time, options, &robot, branch)
-        })?);
+        Ok(slices)
     }
-    Ok(slices)
-}
 
-/// Runs fallible phases through an observer of infallible ones.
-struct Phases<'p> {
-    phase: &'p mut dyn FnMut(&str, f64, Work<'_>),
-}
-
-impl Phases<'_> {
+    /// Runs a phase of the network that may fail.
     fn phase<T>(
         &mut self,
         name: &str,
         fraction: f64,
         work: impl FnOnce() -> rogs_tensors::Result<T>,
     ) -> StageResult<T> {
-        let (mut work, mut result) = (Some(work), None);
-        (self.phase)(name, fraction, &mut || result = work.take().map(|work| work()));
-        let skipped = || StageError::internal(format!("the phase `{name}` was not run"));
-        result.ok_or_else(skipped)?.map_err(stage_error)
+        self.observer.phase(name, fraction, work).map_err(stage_error)
     }
 }
 

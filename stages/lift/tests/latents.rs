@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 use rogs_lift::latents::{LATENTS, open_adapter};
-use rogs_lift::{ClipInputs, LiftParams, Model, TokenSource, lift_inputs, load_model};
+use rogs_lift::{ClipInputs, LiftParams, Model, TokenSource, lift_clip, load_model};
 use rogs_schemas::pose::{Intrinsics, RigidPose};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
@@ -13,7 +13,7 @@ use rogs_schemas::records::field::Field;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_tensors::parameters::Parameters;
 use rogs_weights::{ElementType, KIND, TensorSource, write};
-use rogs_worker::StageResult;
+use rogs_worker::{StageResult, Unobserved};
 
 /// Two by two tokens.
 const SIDE: usize = 28;
@@ -192,7 +192,7 @@ fn lift(model: &Model, params: &LiftParams, path: Option<&Path>, adapter: Option
         latents: path,
         adapter,
     };
-    lift_inputs(model, params, from, &mut |_, _, work| work(), &mut Vec::new())
+    lift_clip(model, params, from, &mut Unobserved)
 }
 
 #[test]

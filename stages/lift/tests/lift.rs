@@ -1,7 +1,7 @@
 //! Lifting of small clips made here: what a field contains, the interventions, queries, determinism.
 
 use rogs_lift::{
-    CrossCamera, FieldQuery, LiftParams, Model, MotionOptions, Numbers, RobotMotion, lift_clip, load_model,
+    ClipInputs, CrossCamera, FieldQuery, LiftParams, Model, MotionOptions, Numbers, RobotMotion, lift_clip, load_model,
 };
 use rogs_schemas::pose::{Intrinsics, RigidPose};
 use rogs_schemas::records::clip::DepthReference;
@@ -9,6 +9,7 @@ use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, Rob
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::field::{Field, GATE_ATTRIBUTES, RAW_CHANNELS};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
+use rogs_worker::Unobserved;
 
 const HEIGHT: usize = 28;
 const WIDTH: usize = 42;
@@ -179,18 +180,14 @@ fn moving_model() -> Model {
     }
 }
 
+impl Inputs {
+    fn all(&self) -> ClipInputs<'_> {
+        ClipInputs::new(&self.clip, &self.robot, &self.conditioning)
+    }
+}
+
 fn lift_with(model: &Model, params: &LiftParams, inputs: &Inputs) -> Field {
-    let run = &mut |_: &str, _: f64, work: rogs_lift::Work<'_>| work();
-    lift_clip(
-        model,
-        params,
-        &inputs.clip,
-        &inputs.robot,
-        &inputs.conditioning,
-        run,
-        &mut Vec::new(),
-    )
-    .unwrap()
+    lift_clip(model, params, inputs.all(), &mut Unobserved).unwrap()
 }
 
 #[test]
@@ -399,18 +396,9 @@ fn inputs_that_do_not_belong_together_are_named() {
     let fail = |params: &LiftParams, change: &dyn Fn(&mut Inputs)| {
         let mut inputs = inputs();
         change(&mut inputs);
-        let run = &mut |_: &str, _: f64, work: rogs_lift::Work<'_>| work();
-        lift_clip(
-            &model,
-            params,
-            &inputs.clip,
-            &inputs.robot,
-            &inputs.conditioning,
-            run,
-            &mut Vec::new(),
-        )
-        .unwrap_err()
-        .message
+        lift_clip(&model, params, inputs.all(), &mut Unobserved)
+            .unwrap_err()
+            .message
     };
     let params = LiftParams::default();
     assert!(fail(&params, &|inputs| inputs.robot.clip_id = "other".into()).contains("`other`"));
@@ -529,19 +517,8 @@ fn camera_wise_fields_take_their_size_from_stereo_and_do_not_see_each_other() {
 #[test]
 fn camera_wise_lifting_says_what_it_lacks() {
     let model = model(&LiftParams::default());
-    let run = |params: &LiftParams, inputs: &Inputs| {
-        let phase = &mut |_: &str, _: f64, work: rogs_lift::Work<'_>| work();
-        lift_clip(
-            &model,
-            params,
-            &inputs.clip,
-            &inputs.robot,
-            &inputs.conditioning,
-            phase,
-            &mut Vec::new(),
-        )
-        .unwrap_err()
-    };
+    let run =
+        |params: &LiftParams, inputs: &Inputs| lift_clip(&model, params, inputs.all(), &mut Unobserved).unwrap_err();
     let error = run(&camera_wise(), &inputs());
     assert!(
         error.message.contains("stereo depth of camera `wrist`"),

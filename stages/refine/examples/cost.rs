@@ -10,7 +10,24 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 
 use rogs_refine::{RefineParams, refine};
+use rogs_worker::Observer;
 use support::{Sizes, example_of, random_network};
+
+/// Seconds by what was said to come next.
+struct Clock {
+    seconds: BTreeMap<String, f64>,
+    phase: String,
+    since: Instant,
+}
+
+impl Observer for Clock {
+    fn progress(&mut self, _fraction: f64, what: &str) {
+        let phase = what.rsplit(": ").next().unwrap_or(what).to_owned();
+        let ended = std::mem::replace(&mut self.phase, phase);
+        *self.seconds.entry(ended).or_default() += self.since.elapsed().as_secs_f64();
+        self.since = Instant::now();
+    }
+}
 
 fn main() -> Result<(), String> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -38,15 +55,14 @@ fn main() -> Result<(), String> {
         ..RefineParams::default()
     };
     let start = Instant::now();
-    let mut seconds: BTreeMap<String, f64> = BTreeMap::new();
-    let mut last = (start, String::new());
-    let refinement = refine(example.inputs(), &network, &params, &mut |_, message| {
-        *seconds.entry(std::mem::take(&mut last.1)).or_default() += last.0.elapsed().as_secs_f64();
-        let phase = message.rsplit(": ").next().unwrap_or(message).to_owned();
-        last = (Instant::now(), phase);
-    })
-    .map_err(|error| error.to_string())?;
-    *seconds.entry(last.1).or_default() += last.0.elapsed().as_secs_f64();
+    let mut clock = Clock {
+        seconds: BTreeMap::new(),
+        phase: String::new(),
+        since: start,
+    };
+    let refinement = refine(example.inputs(), &network, &params, &mut clock).map_err(|error| error.to_string())?;
+    clock.progress(1.0, "");
+    let Clock { seconds, .. } = clock;
     let touched = refinement
         .steps
         .last()

@@ -21,6 +21,7 @@ use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::units::LengthUnit;
 use rogs_splat::{RasterCamera, RasterConfig, render};
 use rogs_stage2::{Refiner, RefinerConfig, seeded_parameters};
+use rogs_worker::Unobserved;
 use support::{Example, Sizes, example_of};
 
 const SIZES: Sizes = Sizes {
@@ -77,7 +78,7 @@ fn main() -> Result<(), Failure> {
     println!("unseen clips: PSNR of the source views, dB: Stage 1, then after each update");
     for seed in 1..=3 {
         let clip = example_of(SIZES, seed);
-        let refinement = refine(clip.inputs(), &network, &params, &mut |_, _| {})?;
+        let refinement = refine(clip.inputs(), &network, &params, &mut Unobserved)?;
         let scores = (0..=UPDATES)
             .map(|update| psnr(&clip, &refinement, update))
             .collect::<Result<Vec<_>, _>>()?;

@@ -19,7 +19,6 @@ mod weights;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::time::Duration;
 
 use rogs_schemas::Record;
 use rogs_schemas::protocol::InputDescription;
@@ -32,7 +31,7 @@ use rogs_worker::{Context, Stage, StageError, StageResult};
 
 pub use params::{MOST_UPDATES, RefineParams};
 pub use recurrence::ClipInputs;
-pub use refinement::{refine, refine_updates};
+pub use refinement::refine;
 pub use weights::{CI_WEIGHTS, LoadedRefiner, load_refiner};
 
 /// The stage.
@@ -50,17 +49,12 @@ impl Stage for Refine {
     type Params = RefineParams;
 
     fn inputs() -> Vec<InputDescription> {
-        let input = |role: &str, required: bool, kind: &str| InputDescription {
-            role: role.into(),
-            required,
-            kind: kind.into(),
-        };
         vec![
-            input("clip", true, Clip::SCHEMA.name),
-            input("robot", true, RobotMaps::SCHEMA.name),
-            input("field", true, Field::SCHEMA.name),
-            input("weights", false, "file"),
-            input("resume", false, Refinement::SCHEMA.name),
+            InputDescription::required("clip", Clip::SCHEMA.name),
+            InputDescription::required("robot", RobotMaps::SCHEMA.name),
+            InputDescription::required("field", Field::SCHEMA.name),
+            InputDescription::optional("weights", "file"),
+            InputDescription::optional("resume", Refinement::SCHEMA.name),
         ]
     }
 
@@ -100,17 +94,7 @@ impl Stage for Refine {
             field_key,
             resume: resume.as_ref(),
         };
-        let (network, params) = (&self.network, &self.params);
-        let mut updates = Vec::new();
-        let refinement = context.timed("refine", |context| {
-            let mut report = |fraction: f64, message: &str| context.progress(fraction, message);
-            let mut updated = |update: u32, time: Duration| updates.push((update, time));
-            refine_updates(inputs, network, params, &mut report, &mut updated)
-        })?;
-        // By update, for the time that fewer updates would have taken.
-        for (update, time) in updates {
-            context.add_seconds(&format!("update_{update}"), time.as_secs_f64());
-        }
+        let refinement = context.timed("refine", |context| refine(inputs, &self.network, &self.params, context))?;
         context.write(&refinement)
     }
 }

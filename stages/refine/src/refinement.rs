@@ -1,6 +1,6 @@
 //! The recurrent refinement of one clip (`docs/spec/stage2.md` section B.7).
 
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use rogs_field::{Correction, TimedField, raw_at};
 use rogs_schemas::records::field::{Field, NamedArray, RAW_CHANNELS};
@@ -8,14 +8,15 @@ use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, Refinemen
 use rogs_schemas::units::iu_from_m;
 use rogs_splat::{Contributions, Eligible, Gaussians, RasterConfig, Render, render_views_with_contributions};
 use rogs_stage2::{Plane, Refiner, TokenSet};
-use rogs_worker::{StageError, StageResult};
+use rogs_worker::{Observer, Part, StageError, StageResult};
 
 use crate::recurrence::{ClipInputs, Recurrence, state_name};
 use crate::resume::resumed;
 use crate::source_time::{SourceTime, source_times};
 use crate::{LoadedRefiner, RefineParams};
 
-/// Refines a field. `report` hears the fraction done and what is being done.
+/// Refines a field. `observer` hears the fraction done, what is being done, and of the n-th update how long it took, under
+/// the name `update_N`: for the time that fewer updates would have taken.
 ///
 /// # Errors
 /// When the records do not belong together, or the earlier refinement does not fit.
@@ -23,24 +24,10 @@ pub fn refine(
     inputs: ClipInputs<'_>,
     network: &LoadedRefiner,
     params: &RefineParams,
-    report: &mut dyn FnMut(f64, &str),
-) -> StageResult<Refinement> {
-    refine_updates(inputs, network, params, report, &mut |_, _| {})
-}
-
-/// As [`refine`]; `updated` hears the number of every update that was made and how long it took.
-///
-/// # Errors
-/// As [`refine`].
-pub fn refine_updates(
-    inputs: ClipInputs<'_>,
-    network: &LoadedRefiner,
-    params: &RefineParams,
-    report: &mut dyn FnMut(f64, &str),
-    updated: &mut dyn FnMut(u32, Duration),
+    observer: &mut dyn Observer,
 ) -> StageResult<Refinement> {
     let (_, updates) = params.resolve()?;
-    report(0.0, "features of the observed images");
+    observer.progress(0.0, "features of the observed images");
     let times = source_times(inputs.clip, inputs.robot, inputs.field, &network.refiner)?;
     let mut recurrence = match inputs.resume {
         Some(earlier) => resumed(earlier, &inputs, network, params, &times, updates)?,
@@ -57,21 +44,19 @@ pub fn refine_updates(
             .map_err(bad_field)?;
         for (time, state) in times.iter().zip(&mut recurrence.states) {
             let update = recurrence.update + 1;
-            let mut phase = |share: f64, what: &str| {
-                let message = format!("update {update} of {updates}, source frame {}: {what}", time.frame);
-                report(0.02 + 0.97 * (done + share) / total, &message);
-            };
-            phase(0.0, "render");
+            let name = format!("update {update} of {updates}, source frame {}", time.frame);
+            let mut part = Part::new(observer, 0.02 + 0.97 * done / total, 0.97 / total).named(name);
+            part.progress(0.0, "render");
             let scene = corrected.gaussians(time.slice.time).map_err(bad_field)?;
             let after = &mut recurrence.correction;
-            update_source_time(&inputs, network, params, time, scene, &before, after, state, &mut phase)?;
+            update_source_time(&inputs, network, params, time, scene, &before, after, state, &mut part)?;
             done += 1.0;
         }
         recurrence.update += 1;
         if params.keep_intermediate && recurrence.update < updates {
             recurrence.steps.push(step(recurrence.update, &recurrence.correction));
         }
-        updated(recurrence.update, start.elapsed());
+        observer.add_seconds(&format!("update_{}", recurrence.update), start.elapsed().as_secs_f64());
     }
     Ok(record(&inputs, network, params, &times, recurrence))
 }
@@ -105,11 +90,11 @@ fn update_source_time(
     before: &Correction,
     after: &mut Correction,
     state: &mut [f32],
-    phase: &mut dyn FnMut(f64, &str),
+    observer: &mut dyn Observer,
 ) -> StageResult<()> {
     let refiner = &network.refiner;
-    let Feedback { set, corrected } = feedback(inputs.field, refiner, params, time, scene, before, phase)?;
-    phase(0.7, "updater");
+    let Feedback { set, corrected } = feedback(inputs.field, refiner, params, time, scene, before, observer)?;
+    observer.progress(0.7, "updater");
     let residuals = refiner.update(&time.grid, set, state).map_err(internal)?;
     let rows = residuals.chunks_exact(RESIDUAL_CHANNELS);
     for (gaussian, residual) in corrected.into_iter().zip(rows) {
@@ -137,7 +122,7 @@ pub(crate) fn feedback(
     time: &SourceTime<'_>,
     scene: Gaussians,
     before: &Correction,
-    phase: &mut dyn FnMut(f64, &str),
+    observer: &mut dyn Observer,
 ) -> StageResult<Feedback> {
     let area = time.grid.area();
     let ranges = time.grid.views().iter().map(|&view| view * area..(view + 1) * area);
@@ -152,12 +137,12 @@ pub(crate) fn feedback(
         data: render.rgb,
     };
     let renders: Vec<Plane> = renders.into_iter().map(as_plane).collect();
-    phase(0.2, "error features");
+    observer.progress(0.2, "error features");
     let errors = refiner
         .encoder()
         .forward(&renders, &time.observed, &time.maps)
         .map_err(internal)?;
-    phase(0.6, "pooling");
+    observer.progress(0.6, "pooling");
     let (set, mass) = token_set(
         field,
         params,

@@ -8,6 +8,7 @@ use rogs_refine::{RefineParams, refine};
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, RefinementStep, ScaleResidual};
 use rogs_stage2::weights::uniform;
+use rogs_worker::Unobserved;
 use support::{example, random_network};
 
 /// A number with few mantissa bits, so that sums of a few of them are exact in f32.
@@ -81,7 +82,7 @@ fn a_refined_field_moves_exactly_as_before_and_its_centres_are_shifted_by_one_va
         updates: Some(2),
         ..RefineParams::default()
     };
-    let refinement = refine(example.inputs(), &random_network("ci", 3), &params, &mut |_, _| {}).unwrap();
+    let refinement = refine(example.inputs(), &random_network("ci", 3), &params, &mut Unobserved).unwrap();
     let field = &example.field;
     let before = TimedField::new(field).unwrap();
     let after = before.with_refinement(&refinement).unwrap();

@@ -6,6 +6,7 @@ use rogs_field::TimedField;
 use rogs_refine::{ClipInputs, RefineParams, load_refiner, refine};
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, ScaleResidual};
+use rogs_worker::{Observer, Unobserved};
 use support::{example, random_network};
 
 fn params(updates: u32) -> RefineParams {
@@ -20,7 +21,7 @@ fn run(inputs: ClipInputs<'_>, preset: &str, params: &RefineParams) -> Refinemen
         preset: preset.into(),
         ..params.clone()
     };
-    refine(inputs, &random_network(preset, 5), &params, &mut |_, _| {}).unwrap()
+    refine(inputs, &random_network(preset, 5), &params, &mut Unobserved).unwrap()
 }
 
 /// Renders of all means, colours and so on: every number that the rasteriser would see.
@@ -54,7 +55,7 @@ fn seeded_weights_correct_nothing_and_say_that_they_are_untrained() {
             .iter()
             .any(|warning| warning.contains("UNTRAINED") && warning.contains("exactly zero"))
     );
-    let refinement = refine(example.inputs(), &network, &params(2), &mut |_, _| {}).unwrap();
+    let refinement = refine(example.inputs(), &network, &params(2), &mut Unobserved).unwrap();
     assert_eq!((refinement.updates, &refinement.weights), (2, &network.info));
     assert_eq!(seen(&example.field, Some(&refinement)), seen(&example.field, None));
 }
@@ -141,7 +142,7 @@ fn an_earlier_refinement_that_does_not_fit_is_refused_with_the_reason() {
             resume: Some(earlier),
             ..example.inputs()
         };
-        refine(inputs, &random_network("ci", 5), params, &mut |_, _| {}).unwrap_err()
+        refine(inputs, &random_network("ci", 5), params, &mut Unobserved).unwrap_err()
     };
     assert!(refused(&kept, &params(1)).message.contains("ends after update 2"));
     let linear = RefineParams {
@@ -243,7 +244,7 @@ fn records_that_do_not_belong_together_are_refused() {
     let mut example = example(8);
     let network = random_network("ci", 5);
     let message = |inputs: ClipInputs<'_>| {
-        refine(inputs, &network, &params(1), &mut |_, _| {})
+        refine(inputs, &network, &params(1), &mut Unobserved)
             .unwrap_err()
             .message
     };
@@ -279,12 +280,21 @@ fn records_that_do_not_belong_together_are_refused() {
     assert!(message(example.inputs()).contains("ext1"));
 }
 
+/// Progress as it was told.
+struct Heard(Vec<(f64, String)>);
+
+impl Observer for Heard {
+    fn progress(&mut self, fraction: f64, what: &str) {
+        self.0.push((fraction, what.to_owned()));
+    }
+}
+
 #[test]
 fn progress_names_update_and_source_frame_and_never_goes_back() {
     let example = example(8);
-    let mut heard = Vec::new();
-    let report = &mut |fraction: f64, message: &str| heard.push((fraction, message.to_owned()));
-    refine(example.inputs(), &random_network("ci", 5), &params(2), report).unwrap();
+    let mut heard = Heard(Vec::new());
+    refine(example.inputs(), &random_network("ci", 5), &params(2), &mut heard).unwrap();
+    let Heard(heard) = heard;
     assert!(heard.is_sorted_by(|a, b| a.0 <= b.0) && heard.iter().all(|(fraction, _)| (0.0..=1.0).contains(fraction)));
     assert!(
         heard

@@ -8,7 +8,7 @@ use rogs_robot::raster::Renderer;
 use rogs_robot::{JointState, MeshScene, RenderOptions, RobotModel};
 use rogs_schemas::records::clip::{CameraMount, Clip, ClipCamera};
 use rogs_schemas::records::robot::{RobotMap, RobotMaps};
-use rogs_worker::{StageError, StageResult};
+use rogs_worker::{Observer, StageError, StageResult};
 
 use crate::params::Params;
 use crate::support::valid_support;
@@ -30,7 +30,7 @@ impl Robot {
         let spec = &params.robot;
         let of_params = |error: rogs_robot::Error| {
             StageError::bad_params(format!("{} (robot parameters, `{}`)", error.chain(), urdf.display()))
-                .with_hint("name the robot's links and joints under [params.robot-maps.robot] of the manifest")
+                .with_hint("name the robot's links and joints under [robot.spec] of the manifest")
         };
         let model = RobotModel::load(urdf)
             .map_err(bad_input)?
@@ -61,14 +61,14 @@ impl Robot {
     }
 }
 
-/// Makes the robot maps of a clip; warnings go to `warn`.
+/// Makes the robot maps of a clip; `observer` hears the warnings.
 ///
 /// # Errors
 /// When joints, poses or cameras of the clip do not fit the robot.
-pub fn build(clip: &Clip, robot: &Robot, params: &Params, mut warn: impl FnMut(String)) -> StageResult<RobotMaps> {
+pub fn build(clip: &Clip, robot: &Robot, params: &Params, observer: &mut dyn Observer) -> StageResult<RobotMaps> {
     let states = joint_states(clip, robot, params)?;
     for warning in limit_warnings(&robot.model, &states) {
-        warn(warning);
+        observer.warn(warning);
     }
     let base_from_link: Vec<Vec<Pose<Base, Link>>> = states.iter().map(|state| robot.model.fk(state)).collect();
     let mut base_from_camera = Vec::new();

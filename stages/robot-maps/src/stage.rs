@@ -7,6 +7,7 @@ use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::record::{Record, SchemaId};
 use rogs_schemas::records::clip::{CameraMount, Clip};
 use rogs_schemas::records::robot::RobotMaps;
+use rogs_schemas::source::ROBOT_MODEL;
 use rogs_worker::{Context, Stage, StageError, StageResult};
 
 use crate::build::{Robot, build};
@@ -27,20 +28,18 @@ impl Stage for RobotMapsStage {
     type Params = Params;
 
     fn inputs() -> Vec<InputDescription> {
-        let input = |role: &str, kind: &str| InputDescription {
-            role: role.into(),
-            required: true,
-            kind: kind.into(),
-        };
-        vec![input("clip", Clip::SCHEMA.name), input("robot-model", "file")]
+        vec![
+            InputDescription::required("clip", Clip::SCHEMA.name),
+            InputDescription::required(ROBOT_MODEL, "file"),
+        ]
     }
 
     fn load(params: &Params, inputs: &BTreeMap<String, PathBuf>) -> StageResult<Self> {
         if let Some(problem) = params.support.problem() {
             return Err(StageError::bad_params(problem));
         }
-        let missing = || StageError::bad_params("the job names no input `robot-model`");
-        let urdf = inputs.get("robot-model").ok_or_else(missing)?;
+        let missing = || StageError::bad_params(format!("the job names no input `{ROBOT_MODEL}`"));
+        let urdf = inputs.get(ROBOT_MODEL).ok_or_else(missing)?;
         Ok(Self {
             params: params.clone(),
             robot: Robot::load(urdf, params)?,
@@ -49,13 +48,7 @@ impl Stage for RobotMapsStage {
 
     fn run(&mut self, context: &mut Context<'_>) -> StageResult<()> {
         let clip: Clip = context.timed("read", |context| context.read("clip"))?;
-        let mut warnings = Vec::new();
-        let maps = context.timed("draw", |_| {
-            build(&clip, &self.robot, &self.params, |warning| warnings.push(warning))
-        })?;
-        for warning in warnings {
-            context.warn(warning);
-        }
+        let maps = context.timed("draw", |context| build(&clip, &self.robot, &self.params, context))?;
         let unseen = |camera: Option<u32>| {
             let mut of_camera = maps
                 .maps

@@ -14,6 +14,7 @@ use rogs_robot_maps::{Params, Robot, build};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
 use rogs_schemas::records::robot::{RobotMap, RobotMaps};
 use rogs_schemas::{Intrinsics, RigidPose};
+use rogs_worker::Observer;
 use serde_json::Value;
 
 const W: u32 = 320;
@@ -104,6 +105,15 @@ fn camera(id: &str, calibration: &Value, images: &[u8]) -> ClipCamera {
     }
 }
 
+/// A warning fails the test.
+struct Strict;
+
+impl Observer for Strict {
+    fn warn(&mut self, warning: String) {
+        panic!("{warning}");
+    }
+}
+
 fn episode() -> (Clip, Robot, RobotMaps) {
     let folder = shared!("data/droid_ctrlworld/new_setup");
     let urdf = shared!("data/robots/panda_robotiq_2f85/franka_panda_robotiq_2f85.urdf");
@@ -142,7 +152,7 @@ fn episode() -> (Clip, Robot, RobotMaps) {
     };
     let params = Params::default();
     let robot = Robot::load(&urdf, &params).unwrap();
-    let maps = build(&clip, &robot, &params, |warning| panic!("{warning}")).unwrap();
+    let maps = build(&clip, &robot, &params, &mut Strict).unwrap();
     (clip, robot, maps)
 }
 

@@ -7,6 +7,7 @@ use rogs_schemas::key::{KeyMaterial, Provenance};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
 use rogs_schemas::records::robot::{NO_LINK, RobotMaps, RobotSpec};
 use rogs_schemas::{Intrinsics, RigidPose};
+use rogs_worker::{Observer, Unobserved};
 
 const URDF: &str = r#"<robot name="boxes">
 <link name="base"><visual><geometry><box size="0.2 0.2 0.2"/></geometry></visual></link>
@@ -117,9 +118,18 @@ fn clip() -> Clip {
 
 fn build_it(clip: &Clip) -> Result<(RobotMaps, Vec<String>), String> {
     let folder = tempfile::tempdir().unwrap();
-    let mut warnings = Vec::new();
-    let maps = build(clip, &robot(folder.path()), &params(), |warning| warnings.push(warning));
-    maps.map(|maps| (maps, warnings)).map_err(|error| error.message)
+    let mut warnings = Warnings::default();
+    let maps = build(clip, &robot(folder.path()), &params(), &mut warnings);
+    maps.map(|maps| (maps, warnings.0)).map_err(|error| error.message)
+}
+
+#[derive(Default)]
+struct Warnings(Vec<String>);
+
+impl Observer for Warnings {
+    fn warn(&mut self, warning: String) {
+        self.0.push(warning);
+    }
 }
 
 #[test]
@@ -222,6 +232,9 @@ fn wrong_states_and_names_say_where() {
     misspelt.robot.tool_link = "fingers".into();
     let error = Robot::load(&folder.path().join("boxes.urdf"), &misspelt).unwrap_err();
     assert!(error.message.contains("did you mean `finger`?"), "{}", error.message);
+    // The table of the manifest from which `rogs` fills in the parameter `robot`.
+    let hint = error.hint.unwrap();
+    assert!(hint.contains("under [robot.spec] of the manifest"), "{hint}");
 }
 
 #[test]
@@ -251,7 +264,7 @@ fn one_thread_and_many_give_the_same_maps() {
     let (robot, clip) = (robot(folder.path()), clip());
     let with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| build(&clip, &robot, &params(), |_| ()).unwrap())
+        pool.install(|| build(&clip, &robot, &params(), &mut Unobserved).unwrap())
     };
     assert_eq!(with(1), with(3));
 }

@@ -117,18 +117,13 @@ impl Stage for Score {
     type Params = ScoreParams;
 
     fn inputs() -> Vec<InputDescription> {
-        let input = |role: &str, required, kind: &str| InputDescription {
-            role: role.into(),
-            required,
-            kind: kind.into(),
-        };
         vec![
-            input("clip", true, Clip::SCHEMA.name),
-            input("robot", true, RobotMaps::SCHEMA.name),
-            input("field", false, Field::SCHEMA.name),
-            input("refinement", false, Refinement::SCHEMA.name),
-            input("predictions", false, "folder"),
-            input("lpips", false, "file"),
+            InputDescription::required("clip", Clip::SCHEMA.name),
+            InputDescription::required("robot", RobotMaps::SCHEMA.name),
+            InputDescription::optional("field", Field::SCHEMA.name),
+            InputDescription::optional("refinement", Refinement::SCHEMA.name),
+            InputDescription::optional("predictions", "folder"),
+            InputDescription::optional("lpips", "file"),
         ]
     }
 

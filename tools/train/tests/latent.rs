@@ -9,10 +9,11 @@ use std::path::Path;
 use burn::tensor::Device;
 use latents::{records, workspace};
 use rogs_lift::latents::open_adapter;
-use rogs_lift::{ClipInputs, LiftParams, TokenSource, lift_inputs, load_model};
+use rogs_lift::{ClipInputs, LiftParams, TokenSource, lift_clip, load_model};
 use rogs_train::latent::LatentLosses;
 use rogs_train::run::{Trainer, run};
 use rogs_train::{LatentTrainer, LatentTraining, Stage1Training, Stage2Training};
+use rogs_worker::Unobserved;
 use support::{difference, first_moments};
 
 /// Terms of the clip that is trained on are lower at the end of a run than at its start.
@@ -65,7 +66,7 @@ fn a_resumed_run_equals_an_uninterrupted_one_and_its_adapter_lifts() {
         latents: Some(&latents),
         adapter: Some(&adapter),
     };
-    let field = lift_inputs(&model, &params, inputs, &mut |_, _, work| work(), &mut Vec::new()).unwrap();
+    let field = lift_clip(&model, &params, inputs, &mut Unobserved).unwrap();
     assert!(field.position_m.iter().all(|value| value.is_finite()));
 }
 

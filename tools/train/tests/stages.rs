@@ -1,7 +1,7 @@
 //! The training code and the pipeline's lifting stage are two programs of the same formulas: they must agree.
 
 use burn::tensor::Device;
-use rogs_lift::{LiftParams, Model, lift_clip};
+use rogs_lift::{ClipInputs, LiftParams, Model, lift_clip};
 use rogs_random::Pcg64;
 use rogs_schemas::records::clip::time_of_frame;
 use rogs_schemas::records::field::{Field, WeightsInfo};
@@ -13,6 +13,7 @@ use rogs_train::plan::ClipPlan;
 use rogs_train::run::run;
 use rogs_train::stage1::forward::{Heads, Lifted, lift};
 use rogs_train::{Stage1Trainer, Stage1Training};
+use rogs_worker::Unobserved;
 
 #[test]
 fn lifting_in_training_equals_the_lift_stage() {
@@ -50,8 +51,8 @@ fn lifting_in_training_equals_the_lift_stage() {
     };
     let lift_field = |params: &LiftParams| {
         let (clip, robot, conditioning) = (&records.clip, &records.robot, &records.conditioning);
-        let mut run = |_: &str, _: f64, work: rogs_lift::Work<'_>| work();
-        lift_clip(&model, params, clip, robot, conditioning, &mut run, &mut Vec::new()).unwrap()
+        let inputs = ClipInputs::new(clip, robot, conditioning);
+        lift_clip(&model, params, inputs, &mut Unobserved).unwrap()
     };
     let field = lift_field(&LiftParams::default());
     let area = sample.size[0] * sample.size[1];

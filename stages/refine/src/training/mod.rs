@@ -22,7 +22,7 @@ use rogs_stage2::objective::{ObjectiveTerms, ObjectiveWeights, Perceptual};
 use rogs_stage2::updater::Neighbours;
 use rogs_stage2::{Refiner, nearest_neighbours};
 use rogs_tensors::parameters::{from_host, to_host};
-use rogs_worker::StageResult;
+use rogs_worker::{StageResult, Unobserved};
 
 pub use optimiser::AdamW;
 
@@ -149,7 +149,7 @@ pub fn training_step(
         let mut shortening = vec![1.0; field.len()];
         for (time, state) in times.iter().zip(&mut states) {
             let scene = scene_at(field, &before, params.scale_residual, time.slice.time)?;
-            let feedback = feedback(field, refiner, params, time, scene, &before, &mut |_, _| {})?;
+            let feedback = feedback(field, refiner, params, time, scene, &before, &mut Unobserved)?;
             let (residual, new_state) = updated(refiner, &feedback, state.clone())?;
             *state = new_state;
             let values = to_host(residual.clone()).map_err(internal)?;

@@ -3,11 +3,12 @@
 use std::path::Path;
 
 use burn::tensor::Device;
-use rogs_lift::{LiftParams, load_model};
+use rogs_lift::{LiftParams, lift_clip, load_model};
 use rogs_refine::ClipInputs;
 use rogs_schemas::key::CacheKey;
 use rogs_schemas::records::field::Field;
 use rogs_tensors::device;
+use rogs_worker::Unobserved;
 
 use crate::config::DataSettings;
 use crate::error::Result;
@@ -43,19 +44,10 @@ impl Lifter {
     pub(super) fn lift(&self, plan: &ClipPlan, data: &DataSettings) -> Result<LiftedClip> {
         let records = plan.or_another(|plan| plan.records(data))?;
         let (clip, robot, conditioning) = (&records.clip, &records.robot, &records.conditioning);
-        let mut run = |_: &str, _: f64, work: rogs_lift::Work<'_>| work();
-        let field = rogs_lift::lift_clip(
-            &self.model,
-            &self.params,
-            clip,
-            robot,
-            conditioning,
-            &mut run,
-            &mut Vec::new(),
-        );
+        let inputs = rogs_lift::ClipInputs::new(clip, robot, conditioning);
         Ok(LiftedClip {
             frames: plan.queries.clone(),
-            field: field?,
+            field: lift_clip(&self.model, &self.params, inputs, &mut Unobserved)?,
             records,
         })
     }

@@ -17,6 +17,7 @@ use rogs_stage2::objective::{Perceptual, RenderedView};
 use rogs_stage2::{Refiner, RefinerConfig, read_weights, seeded_parameters, verify_parameters};
 use rogs_tensors::optimiser::{self, Moments, schedule};
 use rogs_tensors::parameters::Parameters;
+use rogs_worker::Unobserved;
 
 pub use self::lifted::LiftedClip;
 use self::lifted::Lifter;
@@ -239,7 +240,7 @@ impl Trainer for Stage2Trainer {
         for index in 0..settings.evaluation_clips {
             let plan = ClipPlan::evaluation(settings.data.held_out_seed + index, &settings.data);
             let lifted = lifter.lift(&plan, &settings.data)?;
-            let refinement = refine(lifted.inputs(), &network, &self.params(most), &mut |_, _| {})?;
+            let refinement = refine(lifted.inputs(), &network, &self.params(most), &mut Unobserved)?;
             for updates in 0..=most {
                 for (name, frames, cameras) in [
                     ("source", &plan.sources, 0..SOURCE_CAMERAS),
