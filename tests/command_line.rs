@@ -42,7 +42,11 @@ fn exit_codes_are_those_of_the_table() {
         "'--workers'",
     );
     ends(&workspace.rogs(&["run", "missing.toml", "--json"]), 2, "missing.toml");
-    ends(&workspace.rogs(&["status", "nowhere", "--json"]), 2, "is no run folder");
+    ends(
+        &workspace.rogs(&["status", "nowhere", "--json"]),
+        2,
+        "is not a run folder",
+    );
     workspace.write("typo.toml", &short.replace("height =", "hieght ="));
     let typo = workspace.rogs(&["run", "typo.toml", "--json"]);
     ends(&typo, 2, "unknown parameter `hieght` of `ingest`");
@@ -168,7 +172,7 @@ fn an_interrupted_run_ends_with_75_and_says_how_to_go_on() {
     let units = |name: &str| summary["units"][name].as_u64().unwrap();
     assert!(units("left") >= 1 && units("made") + units("left") == 3, "{summary:#}");
     assert!(
-        said.contains("Go on with: rogs run manifest.toml"),
+        said.contains("Resume with: rogs run manifest.toml"),
         "it says how to go on: {said}"
     );
     let (code, summary) = workspace.rogs_json(&["run", "manifest.toml", "--no-report", "--json"]);

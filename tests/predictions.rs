@@ -129,7 +129,7 @@ fn a_field_handed_in_as_files_has_the_scores_of_the_field() {
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(2), "{stderr}");
     assert!(
-        stderr.contains("predictions.toml") && stderr.contains("is no folder"),
+        stderr.contains("predictions.toml") && stderr.contains("is not a folder"),
         "{stderr}"
     );
 }

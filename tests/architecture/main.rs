@@ -140,6 +140,27 @@ fn dependencies_point_one_way() {
 }
 
 #[test]
+fn only_the_table_names_stages() {
+    let table = root().join("pipeline/orchestrator/src/stage.rs");
+    for path in sources() {
+        let held = ["pipeline/orchestrator/src", "pipeline/rogs/src"];
+        if path == table || !held.iter().any(|folder| path.starts_with(root().join(folder))) {
+            continue;
+        }
+        for (line, code) in code_lines(&path) {
+            for name in ["ingest", "robot-maps", "conditioning", "lift", "refine", "score"] {
+                let quoted = format!("\"{name}\"");
+                assert!(
+                    !code.contains(&quoted),
+                    "{}:{line} names a stage: use `StageId`",
+                    path.display()
+                );
+            }
+        }
+    }
+}
+
+#[test]
 fn only_the_codec_names_bincode() {
     for path in sources() {
         if path.ends_with("schemas/src/r4c/codec.rs") {

@@ -48,7 +48,7 @@ fn environments() {
         let output = Command::new(ROGS).arg("status").arg(&folder).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(2), "{said}");
-        assert!(said.contains("is no run folder"), "{said}");
+        assert!(said.contains("is not a run folder"), "{said}");
         std::fs::copy(workspace.path("manifest.toml"), folder.join("m.toml")).unwrap();
         let relative = short.replace(&format!("{:?}", workspace.path("run")), "\"out\"");
         std::fs::write(folder.join("m.toml"), relative).unwrap();

@@ -16,11 +16,7 @@ fn manifests() {
     };
     let episode = |more: &str| format!("[[episodes]]\nroot = \"data/episodes/{GOOD}\"\n{more}\n[robot]\n");
     for id in ["../../etc", "/etc/passwd", "..", ".", "-rf", "a\\nb", "a b", "", "c:d"] {
-        refused(
-            "[robot]\n",
-            &episode(&format!("id = \"{id}\"")),
-            "is no name for a clip",
-        );
+        refused("[robot]\n", &episode(&format!("id = \"{id}\"")), "invalid clip name");
     }
     let long = "x".repeat(129);
     refused("[robot]\n", &episode(&format!("id = \"{long}\"")), "1 to 128");
@@ -39,7 +35,7 @@ fn manifests() {
     refused("[run]\n", "[run]\nstages = [\"lfit\"]\n", "did you mean `lift`?");
     refused("[run]\n", "[run]\n\"\\u0000\" = 1\n", "altered.toml:");
     refused("[run]\n", "[run\n", "altered.toml:2");
-    refused("data/episodes", "nowhere", "is no folder");
+    refused("data/episodes", "nowhere", "is not a folder");
     refused("panda_synth.urdf", "gone.urdf", "gone.urdf");
     refused("lift = \"data/", "lift = \"nowhere/", "nowhere/");
     // A link that leads out of the episode.
@@ -125,5 +121,5 @@ fn manifests_of_any_size_take_little_memory() {
     std::fs::write(workspace.path("latin.toml"), b"[run]\nname = \"caf\xe9\"\n").unwrap();
     let (code, said) = planned(&workspace, "latin.toml");
     assert_eq!(code, Some(2), "{said}");
-    assert!(said.contains("latin.toml` line 2: no UTF-8 text"), "{said}");
+    assert!(said.contains("latin.toml` line 2: not UTF-8 text"), "{said}");
 }

@@ -1,11 +1,65 @@
 //! Errors in a manifest, with line, column and what was probably meant.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 
-use toml_edit::{Document, Item};
+use toml_edit::{Document, Item, Table, TableLike, Value};
 
-use crate::error::{Error, Place, Result, did_you_mean};
-use crate::manifest::STAGES;
+use crate::error::{Error, Place, did_you_mean};
+
+/// Where something stands in a manifest: keys and places in arrays, from the top.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct At<'a> {
+    steps: Vec<Step<'a>>,
+}
+
+/// One step on the way to a value.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Step<'a> {
+    /// The value of a key of a table.
+    Key(&'a str),
+    /// The n-th element of an array, from 0.
+    Item(usize),
+}
+
+impl<'a> At<'a> {
+    /// The manifest as a whole.
+    #[must_use]
+    pub fn top() -> Self {
+        Self { steps: Vec::new() }
+    }
+
+    /// The value of a key at the top.
+    #[must_use]
+    pub fn key(name: &'a str) -> Self {
+        Self::top().then(name)
+    }
+
+    /// The value of a key in it.
+    #[must_use]
+    pub fn then(mut self, name: &'a str) -> Self {
+        self.steps.push(Step::Key(name));
+        self
+    }
+
+    /// The n-th element of it, from 0.
+    #[must_use]
+    pub fn item(mut self, index: usize) -> Self {
+        self.steps.push(Step::Item(index));
+        self
+    }
+}
+
+/// The keys alone: `variants.lift`.
+impl fmt::Display for At<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let keys = self.steps.iter().filter_map(|step| match step {
+            Step::Key(name) => Some(*name),
+            Step::Item(_) => None,
+        });
+        f.write_str(&keys.collect::<Vec<_>>().join("."))
+    }
+}
 
 /// A manifest's text, to find places in it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -26,9 +80,9 @@ impl Text {
         }
     }
 
-    /// An error at the value with these keys, or at the nearest table around it.
-    pub fn error(&self, keys: &[&str], message: impl Into<String>) -> Error {
-        let at = self.find(keys).map(|offset| line_and_column(&self.text, offset));
+    /// An error at this place, or at the nearest table around it that is there.
+    pub fn error(&self, at: At<'_>, message: impl Into<String>) -> Error {
+        let at = self.find(&at).map(|offset| line_and_column(&self.text, offset));
         Error::Manifest {
             path: self.path.clone(),
             place: Place { at },
@@ -37,86 +91,89 @@ impl Text {
         }
     }
 
-    /// An error about the name in a message such as ``unknown field `x`, expected one of `y`, `z` ``, at that name.
+    /// An error about the name in a message such as ``unknown field `x`, expected one of `y`, `z` ``, at that name within
+    /// the table at this place.
     #[must_use]
-    pub fn unknown(&self, keys: &[&str], message: &str) -> Error {
-        let quoted = quoted(message);
-        let Some((&name, candidates)) = quoted.split_first().filter(|_| message.contains("unknown")) else {
-            return self.error(keys, message);
-        };
-        let mut path = keys.to_vec();
-        path.push(name);
-        let error = self.error(&path, message);
-        match did_you_mean(name, candidates.iter().copied()) {
-            Some(meant) => error.with_hint(format!("did you mean `{meant}`?")),
-            None => error,
+    pub fn unknown(&self, table: At<'_>, message: &str) -> Error {
+        match unknown_name(message) {
+            Some((name, meant)) => suggest(self.error(table.then(name), message), meant),
+            None => self.error(table, message),
         }
     }
 
-    /// An error when there is no such stage.
-    pub(crate) fn check_stage(&self, keys: &[&str], stage: &str) -> Result<()> {
-        if STAGES.contains(&stage) {
-            return Ok(());
-        }
-        let error = self.error(
-            keys,
-            format!("unknown stage `{stage}`, expected one of {}", STAGES.join(", ")),
-        );
-        Err(match did_you_mean(stage, STAGES) {
-            Some(meant) => error.with_hint(format!("did you mean `{meant}`?")),
-            None => error,
-        })
-    }
-
-    /// Byte offset of the key path, as far as it leads.
-    fn find(&self, keys: &[&str]) -> Option<usize> {
+    /// Byte offset of a place, as far as the way leads.
+    fn find(&self, at: &At<'_>) -> Option<usize> {
         let document = Document::parse(self.text.as_str()).ok()?;
-        let mut item = document.as_item();
-        let mut found = None;
-        for key in keys {
-            // In arrays of tables the first element that has the key is meant.
-            let step =
-                |item: &'_ Item| -> Option<usize> { Some(item.as_table_like()?.get_key_value(key)?.0.span()?.start) };
-            let tables = item.as_array_of_tables();
-            if let Some(tables) = tables {
-                let table = tables.iter().find(|table| table.contains_key(key))?;
-                found = table
-                    .get_key_value(key)
-                    .and_then(|(key, _)| key.span())
-                    .map(|span| span.start)
-                    .or(found);
-                item = table.get(key)?;
-                continue;
-            }
-            let Some(offset) = step(item) else { break };
-            found = Some(offset);
-            item = item.get(key)?;
+        let (mut here, mut found) = (Found::Item(document.as_item()), None);
+        for step in &at.steps {
+            let Some((offset, next)) = here.step(*step) else { break };
+            (here, found) = (next, offset.or(found));
         }
         found
     }
 }
 
-/// Words in backticks.
-fn quoted(message: &str) -> Vec<&str> {
-    message.split('`').skip(1).step_by(2).collect()
+/// A value on the way to a place.
+#[derive(Clone, Copy)]
+enum Found<'a> {
+    Item(&'a Item),
+    Table(&'a Table),
+    Value(&'a Value),
+}
+
+impl<'a> Found<'a> {
+    /// One step further, with the byte offset of what stands there.
+    fn step(self, step: Step<'_>) -> Option<(Option<usize>, Self)> {
+        match step {
+            Step::Key(name) => {
+                let table: &dyn TableLike = match self {
+                    Found::Item(item) => item.as_table_like()?,
+                    Found::Table(table) => table,
+                    Found::Value(value) => value.as_inline_table()?,
+                };
+                let (key, item) = table.get_key_value(name)?;
+                Some((key.span().map(|span| span.start), Found::Item(item)))
+            }
+            Step::Item(index) => {
+                let Found::Item(item) = self else { return None };
+                if let Some(tables) = item.as_array_of_tables() {
+                    let table = tables.get(index)?;
+                    return Some((table.span().map(|span| span.start), Found::Table(table)));
+                }
+                let value = item.as_array()?.get(index)?;
+                Some((value.span().map(|span| span.start), Found::Value(value)))
+            }
+        }
+    }
+}
+
+/// The first word in backticks of a message that says that a name is unknown, and the other name that was probably meant.
+fn unknown_name(message: &str) -> Option<(&str, Option<&str>)> {
+    let words: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
+    let (&name, candidates) = words.split_first().filter(|_| message.contains("unknown "))?;
+    Some((name, did_you_mean(name, candidates.iter().copied())))
+}
+
+/// The error with the name that was probably meant.
+fn suggest(error: Error, meant: Option<&str>) -> Error {
+    match meant {
+        Some(meant) => error.with_hint(format!("did you mean `{meant}`?")),
+        None => error,
+    }
 }
 
 /// Turns an error of the TOML reader into one of ours.
 pub(crate) fn from_toml_error(text: &Text, error: &toml::de::Error) -> Error {
     let message = error.message().trim().replace('\n', ", ");
     let at = error.span().map(|span| line_and_column(&text.text, span.start));
-    let words = quoted(&message);
-    let meant = words
-        .split_first()
-        .filter(|_| message.contains("unknown field") || message.contains("unknown variant"));
-    let hint = meant.and_then(|(name, candidates)| did_you_mean(name, candidates.iter().copied()));
-    let hint = hint.map(|meant| format!("did you mean `{meant}`?"));
-    Error::Manifest {
+    let meant = unknown_name(&message).and_then(|(_, meant)| meant.map(str::to_owned));
+    let error = Error::Manifest {
         path: text.path.clone(),
         place: Place { at },
         message,
-        hint,
-    }
+        hint: None,
+    };
+    suggest(error, meant.as_deref())
 }
 
 /// Line and column, from 1, of a byte offset.
@@ -125,4 +182,39 @@ fn line_and_column(text: &str, offset: usize) -> (usize, usize) {
     let line = before.iter().filter(|&&byte| byte == b'\n').count() + 1;
     let start = before.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
     (line, String::from_utf8_lossy(&before[start..]).chars().count() + 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEXT: &str = "[run]\nname = \"n\"\n[[variants]]\nname = \"a\"\nlift.seed = 1\n[[variants]]\nname = \"b\"\n\
+                        lift = { seed = 2 }\n[robot]\nlist = [{ x = 1 }, { y = 2 }]\n";
+
+    #[test]
+    fn places_of_keys_and_elements_are_found_or_the_nearest_around_them() {
+        let text = Text::new(Path::new("m.toml"), TEXT);
+        let at = |at: At<'_>| text.error(at, "wrong").to_string();
+        let variant = |index| At::key("variants").item(index);
+        assert_eq!(at(At::top()), "m.toml: wrong");
+        assert_eq!(at(At::key("run").then("name")), "m.toml:2:1: wrong");
+        assert_eq!(at(variant(0).then("lift").then("seed")), "m.toml:5:6: wrong");
+        assert_eq!(at(variant(1).then("lift").then("seed")), "m.toml:8:10: wrong");
+        // The second variant has no such table, the third is not there, and the first is not meant instead.
+        assert_eq!(at(variant(1).then("refine").then("seed")), "m.toml:6:1: wrong");
+        assert_eq!(at(variant(1)), "m.toml:6:1: wrong");
+        assert_eq!(
+            at(At::key("robot").then("list").item(1).then("y")),
+            "m.toml:10:21: wrong"
+        );
+        assert_eq!(at(At::key("gone")), "m.toml: wrong");
+    }
+
+    #[test]
+    fn unknown_names_are_marked_and_suggested() {
+        let text = Text::new(Path::new("m.toml"), TEXT);
+        let error = text.unknown(At::key("run"), "unknown field `name`, expected one of `nane`, `other`");
+        assert!(error.to_string().starts_with("m.toml:2:1: unknown field"), "{error}");
+        assert_eq!(error.hint().as_deref(), Some("did you mean `nane`?"));
+    }
 }

@@ -4,18 +4,19 @@
 use serde_json::{Map, Value, json};
 
 use crate::error::Result;
-use crate::manifest::{Manifest, STAGES};
+use crate::manifest::Manifest;
 use crate::programs::StagePrograms;
+use crate::stage::StageId;
 
 /// Name that the published schema goes by.
 const TITLE: &str = "rogs run manifest";
 
-/// Tables that hold parameters of stages besides those at the top: definition, and whether of every stage or of one.
-const TABLES: [(&str, &[&str]); 4] = [
-    ("Variant", &STAGES),
-    ("Episode", &["ingest"]),
-    ("Input", &["ingest"]),
-    ("Prediction", &["score"]),
+/// Tables that hold parameters of stages besides those at the top: definition, and of which stages.
+const TABLES: [(&str, &[StageId]); 4] = [
+    ("Variant", StageId::ALL),
+    ("Episode", &[StageId::Ingest]),
+    ("Input", &[StageId::Ingest]),
+    ("Prediction", &[StageId::Score]),
 ];
 
 /// The schema of manifests for these stage programs.
@@ -25,23 +26,23 @@ const TABLES: [(&str, &[&str]); 4] = [
 pub fn manifest_schema(programs: &StagePrograms) -> Result<Value> {
     let mut schema = Manifest::json_schema();
     let mut definitions = Map::new();
-    for stage in STAGES {
+    for &stage in StageId::ALL {
         let params = programs.describe(stage, &json!({}))?.params_schema;
         add_stage(&mut definitions, stage, params);
     }
-    let reference = |stage: &str, description: Value| {
+    let reference = |stage: StageId, description: Value| {
         // Words beside a reference are allowed; the stage's own go on saying what the table is.
         json!({"$ref": format!("#/$defs/{stage}"), "description": description})
     };
-    let mut fill = |place: &str, stages: &[&str]| {
-        for stage in stages {
+    let mut fill = |place: &str, stages: &[StageId]| {
+        for &stage in stages {
             if let Some(table) = schema.pointer_mut(&format!("{place}/properties/{stage}")) {
                 let description = table.get("description").cloned().unwrap_or_default();
                 *table = reference(stage, description);
             }
         }
     };
-    fill("", &STAGES);
+    fill("", StageId::ALL);
     for (definition, stages) in TABLES {
         fill(&format!("/$defs/{definition}"), stages);
     }
@@ -55,7 +56,7 @@ pub fn manifest_schema(programs: &StagePrograms) -> Result<Value> {
 }
 
 /// Puts the schema of a stage's parameters under the stage's name, with what it refers to under names of its own.
-fn add_stage(definitions: &mut Map<String, Value>, stage: &str, mut params: Value) {
+fn add_stage(definitions: &mut Map<String, Value>, stage: StageId, mut params: Value) {
     rename_references(&mut params, stage);
     let Some(table) = params.as_object_mut() else { return };
     table.remove("$schema");
@@ -64,10 +65,10 @@ fn add_stage(definitions: &mut Map<String, Value>, stage: &str, mut params: Valu
     if let Some(Value::Object(own)) = table.remove("$defs") {
         definitions.extend(own.into_iter().map(|(name, value)| (format!("{stage}.{name}"), value)));
     }
-    definitions.insert(stage.to_owned(), params);
+    definitions.insert(stage.to_string(), params);
 }
 
-fn rename_references(value: &mut Value, stage: &str) {
+fn rename_references(value: &mut Value, stage: StageId) {
     match value {
         Value::Object(table) => {
             for (key, value) in table.iter_mut() {
@@ -97,8 +98,8 @@ mod tests {
                 "$defs": {"A": {"type": kind}}})
         };
         let mut definitions = Map::new();
-        add_stage(&mut definitions, "lift", params("string"));
-        add_stage(&mut definitions, "score", params("number"));
+        add_stage(&mut definitions, StageId::Lift, params("string"));
+        add_stage(&mut definitions, StageId::Score, params("number"));
         assert_eq!(definitions["lift.A"], json!({"type": "string"}));
         assert_eq!(definitions["score.A"], json!({"type": "number"}));
         assert_eq!(

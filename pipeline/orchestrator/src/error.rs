@@ -94,7 +94,7 @@ impl Error {
                 Some("wait until it has finished, stop it, or use another `out` folder in the manifest".to_owned())
             }
             Self::Io { source, .. } if source.kind() == std::io::ErrorKind::StorageFull => {
-                Some("free some space, then run the same command again: nothing that is done is lost".to_owned())
+                Some("free some space, then run the same command again: finished outputs are kept".to_owned())
             }
             Self::Io { .. } | Self::Schemas(_) => None,
         }

@@ -56,7 +56,7 @@ pub fn estimate(plan: &Plan, options: &RunOptions) -> Result<Estimate> {
             .filter(|clip| clip[index] == OutputState::UpToDate)
             .count();
         let node = &plan.nodes[index];
-        let cost = costs.get(&node.stage).copied();
+        let cost = costs.get(node.stage.name()).copied();
         NodeEstimate {
             node: node.label.clone(),
             up_to_date,

@@ -11,8 +11,8 @@ use serde::Serialize;
 /// | 2 | `Usage` | the command line, the manifest or a parameter is wrong; nothing was started |
 /// | 3 | `Partial` | some clips are done, others failed; the report says which and why |
 /// | 4 | `Locked` | another process works in the run folder |
-/// | 70 | `Trouble` | the orchestrator itself could not go on (disk full, stage program missing) |
-/// | 75 | `Stopped` | stopped early by a signal; the same command goes on |
+/// | 70 | `Environment` | the orchestrator itself could not continue (disk full, stage program missing) |
+/// | 75 | `Stopped` | stopped early by a signal; the same command resumes |
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[repr(u8)]
@@ -27,8 +27,8 @@ pub enum Exit {
     Partial = 3,
     /// Another process works in the run folder.
     Locked = 4,
-    /// The orchestrator itself could not go on.
-    Trouble = 70,
+    /// The orchestrator itself could not continue: the machine or the installation is in the way.
+    Environment = 70,
     /// Stopped early by a signal.
     Stopped = 75,
 }
@@ -48,7 +48,7 @@ impl crate::Error {
         match self {
             Self::Manifest { .. } | Self::Usage { .. } => Exit::Usage,
             Self::Locked { .. } => Exit::Locked,
-            _ => Exit::Trouble,
+            _ => Exit::Environment,
         }
     }
 }

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::plan::{Plan, Unit, UnitKey};
+use crate::plan::{InputSource, Plan, UnitKey, WorkUnit};
 use crate::state::{OutputState, output_state};
 
 /// Why one unit has to be made.
@@ -58,11 +58,11 @@ impl Plan {
     pub fn explain_clip(&self, clip: usize) -> Vec<Explanation> {
         let keys = self.keys(clip);
         (0..self.nodes.len())
-            .filter_map(|node| self.explain(Unit { clip, node }, &keys))
+            .filter_map(|node| self.explain(WorkUnit { clip, node }, &keys))
             .collect()
     }
 
-    fn explain(&self, unit: Unit, keys: &[UnitKey]) -> Option<Explanation> {
+    fn explain(&self, unit: WorkUnit, keys: &[UnitKey]) -> Option<Explanation> {
         let output = self.output(unit, keys);
         let path = self.run.join(&output);
         let reason = match output_state(&path, keys[unit.node].key) {
@@ -87,7 +87,7 @@ impl Plan {
         })
     }
 
-    fn changes(&self, unit: Unit, keys: &[UnitKey], old: &rogs_schemas::KeyMaterial) -> Vec<Change> {
+    fn changes(&self, unit: WorkUnit, keys: &[UnitKey], old: &rogs_schemas::KeyMaterial) -> Vec<Change> {
         let new = &keys[unit.node].material;
         let mut changes = Vec::new();
         let mut note = |what: String, old: String, new: String, because_of: Option<String>| {
@@ -119,7 +119,7 @@ impl Plan {
             };
             let input = self.nodes[unit.node].inputs.iter().find(|input| input.role == *role);
             let upstream = input.and_then(|input| match input.from {
-                crate::plan::From::Node(node) => Some(self.nodes[node].label.clone()),
+                InputSource::Node(node) => Some(self.nodes[node].label.clone()),
                 _ => None,
             });
             note(format!("input {role}"), id(&old.inputs), id(&new.inputs), upstream);

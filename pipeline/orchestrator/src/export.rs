@@ -1,5 +1,6 @@
 //! The plan as one self-contained line a unit, for engines that start processes on other machines.
 
+use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -7,8 +8,9 @@ use rogs_schemas::ledger::PlannedUnit;
 use serde::Serialize;
 
 use crate::error::{Result, io};
-use crate::plan::{Plan, Unit};
+use crate::plan::{Plan, WorkUnit};
 use crate::programs::StagePrograms;
+use crate::stage::StageId;
 
 /// What was exported and how to run it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -33,14 +35,9 @@ pub fn shard_of(clip: usize, clips: usize, shards: u32) -> u32 {
 
 /// Stages of a plan in pipeline order, each once.
 #[must_use]
-pub fn stages(plan: &Plan) -> Vec<&str> {
-    let mut stages: Vec<&str> = Vec::new();
-    for node in &plan.nodes {
-        if !stages.contains(&node.stage.as_str()) {
-            stages.push(&node.stage);
-        }
-    }
-    stages
+pub fn stages(plan: &Plan) -> Vec<StageId> {
+    let stages: BTreeSet<StageId> = plan.nodes.iter().map(|node| node.stage).collect();
+    stages.into_iter().collect()
 }
 
 /// Writes the units of a plan, one JSON line each.
@@ -54,7 +51,7 @@ pub fn write_units(plan: &Plan, shards: u32, out: &mut dyn Write) -> std::io::Re
         let keys = maker.keys(clip);
         let shard = shard_of(clip, plan.clips.len(), shards);
         for node in 0..plan.nodes.len() {
-            let job = plan.job(number, Unit { clip, node }, &keys);
+            let job = plan.job(number, WorkUnit { clip, node }, &keys);
             let unit = PlannedUnit {
                 shard,
                 shards,
@@ -83,7 +80,7 @@ pub fn export(plan: &Plan, programs: &StagePrograms, shards: u32, file: &Path) -
         units = write_units(plan, shards, &mut out)?;
         out.flush()
     })?;
-    let command = |stage: &str, shard: u32| batch_command(programs, stage, &file, &shard.to_string(), shards);
+    let command = |stage: StageId, shard: u32| batch_command(programs, stage, &file, &shard.to_string(), shards);
     let commands = stages(plan)
         .into_iter()
         .flat_map(|stage| (0..shards).map(move |shard| command(stage, shard)));
@@ -98,7 +95,7 @@ pub fn export(plan: &Plan, programs: &StagePrograms, shards: u32, file: &Path) -
 /// The command that runs one shard of one stage.
 pub(crate) fn batch_command(
     programs: &StagePrograms,
-    stage: &str,
+    stage: StageId,
     file: &Path,
     shard: &str,
     shards: u32,

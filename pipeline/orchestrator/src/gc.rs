@@ -3,12 +3,12 @@
 use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
+use rogs_schemas::ledger::LOG_FILE;
 use serde::Serialize;
 
 use crate::error::{Result, io};
-use crate::ledger::LOG_FILE;
 use crate::lock::RunLock;
-use crate::plan::{Plan, Unit, read_plan};
+use crate::plan::{Plan, WorkUnit, read_plan};
 
 /// What was, or would be, removed.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
@@ -61,7 +61,7 @@ fn needed(plan: &Plan) -> BTreeSet<PathBuf> {
     let of_clip = |clip: usize| {
         let keys = maker.keys(clip);
         (0..plan.nodes.len())
-            .map(move |node| plan.output(Unit { clip, node }, &keys))
+            .map(move |node| plan.output(WorkUnit { clip, node }, &keys))
             .collect::<Vec<_>>()
     };
     (0..plan.clips.len()).flat_map(of_clip).collect()

@@ -5,22 +5,15 @@ use std::io::BufRead;
 use std::path::{Path, PathBuf};
 
 use rogs_schemas::CacheKey;
-use rogs_schemas::ledger::{self, Attempt, Outcome};
+use rogs_schemas::ledger::{self, Attempt, LEDGER_FOLDER, Outcome};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Result, io};
-
-/// Name of the folder with the ledgers in a run folder.
-pub const LEDGER_FOLDER: &str = "ledger";
-
-/// Name of the log in a clip's folder.
-pub const LOG_FILE: &str = "log.jsonl";
 
 /// Appends attempts of this process.
 #[derive(Debug)]
 pub struct Ledger {
     run: PathBuf,
-    file: PathBuf,
     worker: String,
 }
 
@@ -28,11 +21,9 @@ impl Ledger {
     /// A ledger of this process in a run folder.
     #[must_use]
     pub fn new(run: &Path) -> Self {
-        let worker = format!("{}-{}", crate::lock::host(), std::process::id());
         Self {
             run: run.to_owned(),
-            file: run.join(LEDGER_FOLDER).join(format!("{worker}.jsonl")),
-            worker,
+            worker: ledger::this_worker(),
         }
     }
 
@@ -47,9 +38,10 @@ impl Ledger {
     /// # Errors
     /// When the operating system refuses.
     pub fn note(&self, attempt: &Attempt) -> Result<()> {
-        let log = self.run.join("clips").join(&attempt.clip_id).join(LOG_FILE);
-        ledger::append(&log, attempt)?;
-        Ok(ledger::append(&self.file, attempt)?)
+        for file in ledger::files_of(&self.run, attempt) {
+            ledger::append(&file, attempt)?;
+        }
+        Ok(())
     }
 }
 

@@ -25,7 +25,7 @@
 //! | `gc`, `diff`, `logs` | [`gc::collect`], [`diff::diff`], [`logs::logs`] | [`gc::Collected`], [`diff::Difference`], `[Attempt]` |
 //! | `schema` | [`editor::manifest_schema`] | the JSON schema itself |
 //!
-//! Every failure to go on is an [`Error`] with [`Error::hint`] and [`Error::exit`]; failures of clips are values.
+//! Every failure of the orchestrator is an [`Error`] with [`Error::hint`] and [`Error::exit`]; failures of clips are values.
 //! Errors print as `error: {error}`, then `hint: {hint}`.
 
 pub mod diagnose;
@@ -48,6 +48,7 @@ pub mod prepare;
 pub mod programs;
 pub mod slurm;
 pub mod sources;
+pub mod stage;
 pub mod state;
 pub mod status;
 mod sys;

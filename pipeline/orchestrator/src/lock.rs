@@ -4,6 +4,8 @@ use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Read, Seek, Write};
 use std::path::Path;
 
+use rogs_schemas::ledger::host;
+
 use crate::error::{Error, Result, io};
 
 /// Name of the lock in a run folder. The file stays; only the system's lock on it counts, which ends with its holder.
@@ -73,15 +75,6 @@ fn patiently(file: &File) -> std::result::Result<(), TryLockError> {
         }
     }
     file.try_lock()
-}
-
-/// Name of this machine.
-pub(crate) fn host() -> String {
-    let name = std::fs::read_to_string("/proc/sys/kernel/hostname")
-        .ok()
-        .or_else(|| std::env::var("HOSTNAME").ok());
-    let name = name.map(|name| name.trim().to_owned()).filter(|name| !name.is_empty());
-    crate::manifest::safe_name(&name.unwrap_or_else(|| "host".to_owned()))
 }
 
 #[cfg(test)]

@@ -2,10 +2,9 @@
 
 use std::path::Path;
 
-use rogs_schemas::ledger::{self, Attempt, Outcome};
+use rogs_schemas::ledger::{self, Attempt, LOG_FILE, Outcome};
 
 use crate::error::Result;
-use crate::ledger::LOG_FILE;
 use crate::plan::read_plan;
 
 /// Attempts at the units of a clip, oldest first. The clip is named by its id or its episode's.

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::error::{Error, Result, io};
+use crate::stage::StageId;
 
 /// Where the stage programs are.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -73,11 +74,11 @@ impl StagePrograms {
 
     /// A command that starts a stage program, without arguments.
     #[must_use]
-    pub fn command(&self, stage: &str) -> Command {
+    pub fn command(&self, stage: StageId) -> Command {
         match self {
             Self::Embedded { program, prefix } => {
                 let mut command = Command::new(program);
-                command.args(prefix).arg(stage);
+                command.args(prefix).arg(stage.name());
                 command
             }
             Self::Directory(folder) => Command::new(folder.join(format!("rogs-{stage}"))),
@@ -86,7 +87,7 @@ impl StagePrograms {
 
     /// The command line of a stage program, word by word.
     #[must_use]
-    pub fn words(&self, stage: &str) -> Vec<String> {
+    pub fn words(&self, stage: StageId) -> Vec<String> {
         let command = self.command(stage);
         let words = std::iter::once(command.get_program()).chain(command.get_args());
         words.map(|word| word.to_string_lossy().into_owned()).collect()
@@ -96,14 +97,14 @@ impl StagePrograms {
     ///
     /// # Errors
     /// When the program cannot be started, or refuses the parameters.
-    pub fn describe(&self, stage: &str, params: &Value) -> Result<Description> {
+    pub fn describe(&self, stage: StageId, params: &Value) -> Result<Description> {
         let output = self.answer(
             stage,
             &["describe".to_owned(), "--params".to_owned(), params.to_string()],
         )?;
         let description: Description = serde_json::from_slice(&output)
             .map_err(|error| self.error(stage, format!("`describe` answers no description: {error}")))?;
-        if description.stage != stage {
+        if description.stage != stage.name() {
             return Err(self.error(
                 stage,
                 format!("`describe` says that it is stage `{}`", description.stage),
@@ -118,16 +119,16 @@ impl StagePrograms {
     /// When ingest cannot be started or does not know what the folder holds.
     pub fn list_episodes(&self, root: &Path) -> Result<Vec<ListedEpisode>> {
         let output = self.answer(
-            "ingest",
+            StageId::Ingest,
             &["list".to_owned(), root.display().to_string(), "--json".to_owned()],
         )?;
         let mut episodes: Vec<ListedEpisode> = serde_json::from_slice(&output)
-            .map_err(|error| self.error("ingest", format!("`list` answers no list of episodes: {error}")))?;
+            .map_err(|error| self.error(StageId::Ingest, format!("`list` answers no list of episodes: {error}")))?;
         episodes.sort_by(|a, b| (&a.episode_id, &a.folder, &a.selector).cmp(&(&b.episode_id, &b.folder, &b.selector)));
         Ok(episodes)
     }
 
-    fn answer(&self, stage: &str, arguments: &[String]) -> Result<Vec<u8>> {
+    fn answer(&self, stage: StageId, arguments: &[String]) -> Result<Vec<u8>> {
         let output = self.command(stage).args(arguments).stdin(Stdio::null()).output();
         let output = output.map_err(|error| {
             let error = self.error(stage, format!("cannot be started: {error}"));
@@ -156,7 +157,7 @@ impl StagePrograms {
         })
     }
 
-    fn error(&self, stage: &str, message: String) -> Error {
+    fn error(&self, stage: StageId, message: String) -> Error {
         Error::Program {
             program: self.words(stage).join(" "),
             message,

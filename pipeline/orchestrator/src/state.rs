@@ -5,7 +5,7 @@ use std::path::Path;
 use rayon::prelude::*;
 use rogs_schemas::{CacheKey, Error};
 
-use crate::plan::{KeyMaker, Plan, Unit};
+use crate::plan::{KeyMaker, Plan, WorkUnit};
 
 /// What lies at the place of an output.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -79,7 +79,7 @@ impl Plan {
         }
         let keys = maker.keys(clip);
         let state = |node: usize| {
-            let unit = Unit { clip, node };
+            let unit = WorkUnit { clip, node };
             look(&self.run.join(self.output(unit, &keys)), keys[node].key)
         };
         (0..self.nodes.len()).map(state).collect()

@@ -11,7 +11,7 @@ use crate::error::Result;
 use crate::exit::Exit;
 use crate::ledger::last_failures;
 use crate::lock::LOCK_FILE;
-use crate::plan::{Plan, Unit, read_plan};
+use crate::plan::{Plan, WorkUnit, read_plan};
 use crate::state::OutputState;
 
 /// State of a unit for people.
@@ -133,7 +133,7 @@ pub fn status_of(plan: &Plan) -> Result<(Status, Vec<Vec<OutputState>>)> {
             }
             let keys = maker.keys(clip);
             for node in 0..plan.nodes.len() {
-                let output = plan.output(Unit { clip, node }, &keys);
+                let output = plan.output(WorkUnit { clip, node }, &keys);
                 let attempt = last.get(&(output, keys[node].key));
                 let blocked = plan
                     .upstream(node)

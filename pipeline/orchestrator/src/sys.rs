@@ -1,20 +1,12 @@
-//! What the standard library does not offer: counting termination signals, signalling children, memory of the machine.
-//!
-//! The only unsafe code of the crate: calls of libc whose arguments are plain numbers or owned here.
-#![allow(unsafe_code)]
+//! What the standard library does not offer: counting termination signals, memory and disk of the machine.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+
 /// Termination signals since the start.
 static SIGNALS: AtomicUsize = AtomicUsize::new(0);
-
-/// Only touches an atomic and calls `_exit`; both are async-signal-safe.
-extern "C" fn count_signal(_signal: libc::c_int) {
-    if SIGNALS.fetch_add(1, Ordering::SeqCst) >= 2 {
-        // SAFETY: ends the process without running anything else.
-        unsafe { libc::_exit(130) };
-    }
-}
 
 /// Termination signals (Ctrl-C, TERM, HUP) of this process, counted instead of fatal: the first asks to finish, the
 /// second to stop at once; the third ends the process where it stands.
@@ -29,18 +21,15 @@ impl Interrupts {
     /// # Errors
     /// When the system refuses the handler.
     pub fn install() -> std::io::Result<Self> {
-        for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
-            // SAFETY: `action` is a plain struct for which all zeros is valid; the handler is async-signal-safe.
-            unsafe {
-                let mut action: libc::sigaction = std::mem::zeroed();
-                action.sa_sigaction = count_signal as *const () as usize;
-                action.sa_flags = libc::SA_RESTART;
-                libc::sigemptyset(&mut action.sa_mask);
-                if libc::sigaction(signal, &action, std::ptr::null_mut()) != 0 {
-                    return Err(std::io::Error::last_os_error());
+        let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
+        std::thread::Builder::new().name("signals".into()).spawn(move || {
+            for _ in signals.forever() {
+                if SIGNALS.fetch_add(1, Ordering::SeqCst) >= 2 {
+                    // Without running anything else.
+                    signal_hook::low_level::exit(130);
                 }
             }
-        }
+        })?;
         Ok(Self { counted: true })
     }
 
@@ -58,14 +47,6 @@ impl Interrupts {
         } else {
             0
         }
-    }
-}
-
-/// Sends a signal to a child that has not been waited for.
-pub(crate) fn signal(child: &std::process::Child, signal: i32) {
-    if let Ok(id) = libc::pid_t::try_from(child.id()) {
-        // SAFETY: plain numbers; the child is not reaped yet, so its number is not anyone else's.
-        unsafe { libc::kill(id, signal) };
     }
 }
 
@@ -90,11 +71,6 @@ pub(crate) fn available_memory() -> u64 {
 
 /// Bytes free for this user on the file system of a path.
 pub(crate) fn free_disk(path: &std::path::Path) -> Option<u64> {
-    use std::os::unix::ffi::OsStrExt as _;
-    let path = std::ffi::CString::new(path.as_os_str().as_bytes()).ok()?;
-    // SAFETY: `path` is a terminated string that lives through the call; `stat` is a plain struct that the call fills.
-    unsafe {
-        let mut stat: libc::statvfs = std::mem::zeroed();
-        (libc::statvfs(path.as_ptr(), &mut stat) == 0).then(|| stat.f_bavail as u64 * stat.f_frsize as u64)
-    }
+    let found = rustix::fs::statvfs(path).ok()?;
+    Some(found.f_bavail * found.f_frsize)
 }

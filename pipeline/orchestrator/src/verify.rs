@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::error::Result;
 use crate::exit::Exit;
-use crate::plan::{Plan, Unit, read_plan};
+use crate::plan::{Plan, WorkUnit, read_plan};
 
 /// What a check of a run found.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -43,7 +43,7 @@ fn verify_plan(plan: &Plan) -> Verification {
         let keys = maker.keys(clip);
         let states = plan.clip_states(clip);
         let unit = |node: usize| {
-            let output = plan.output(Unit { clip, node }, &keys);
+            let output = plan.output(WorkUnit { clip, node }, &keys);
             let what = match rogs_schemas::r4c::verify(&plan.run.join(&output)) {
                 _ if states[node] == crate::state::OutputState::Missing => return None,
                 Ok(header) if header.key == keys[node].key => String::new(),

@@ -363,7 +363,7 @@ fn a_file_system_that_is_mounted_read_only_is_enough_for_inputs_and_named_where_
     workspace.write("toy.toml", &text.replace("\"run\"", "\"episodes/run\""));
     let output = run(&workspace, &[]);
     let text = stderr(&output);
-    assert_eq!(output.status.code(), Some(Exit::Trouble.code().into()), "{text}");
+    assert_eq!(output.status.code(), Some(Exit::Environment.code().into()), "{text}");
     assert!(
         text.contains("cannot make the run folder") && text.contains("Read-only file system"),
         "{text}"

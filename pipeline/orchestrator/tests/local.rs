@@ -142,11 +142,12 @@ fn a_clip_that_hangs_is_given_up_at_its_deadline() {
         "{:?}",
         summary.failures
     );
-    assert!(
-        summary.failures[0].message.contains("took longer than 0.3 s"),
-        "{:?}",
-        summary.failures
-    );
+    let failure = &summary.failures[0];
+    assert_eq!(failure.code, FailureCode::Deadline);
+    assert!(failure.message.contains("took longer than 0.3 s"), "{failure:?}");
+    let attempts = rogs_orchestrator::ledger::read_all(&workspace.run_folder()).unwrap();
+    let tries = attempts.iter().filter(|attempt| attempt.stage == "refine").count();
+    assert_eq!(tries, 1, "it would take as long again");
 }
 
 #[test]

@@ -49,11 +49,14 @@ fn wrong_values_say_where_and_what() {
         "{message}"
     );
     let (message, _) = refusal("[executor]\nmemory = \"lots\"\n");
-    assert!(message.contains("`lots` is no size"), "{message}");
+    assert!(
+        message.contains("invalid size `lots`: expected e.g. `12 GiB`"),
+        "{message}"
+    );
     let (message, _) = refusal("[executor]\nworkers = 0\n");
     assert!(message.contains("at least 1"), "{message}");
     let (message, _) = refusal("[[variants]]\nname = \"../x\"\n");
-    assert!(message.contains("is no name for a variant"), "{message}");
+    assert!(message.contains("invalid variant name"), "{message}");
     let (message, _) = refusal("[[variants]]\nname = \"x\"\n[[variants]]\nname = \"X\"\n");
     assert!(message.contains("two variants are named"), "{message}");
     let (message, _) = refusal("broken = [1,\n");
@@ -61,16 +64,48 @@ fn wrong_values_say_where_and_what() {
 }
 
 #[test]
+fn mistakes_in_a_variant_or_episode_are_marked_there() {
+    // The first variant is right, the second is not.
+    let first = "[[variants]]\nname = \"a\"\nlift.seed = 1\n";
+    let (message, hint) = refusal(&format!("{first}[[variants]]\nname = \"b\"\nlift.sed = 1\n"));
+    assert!(
+        message.starts_with("toy.toml:16:6: unknown parameter `sed` of `variants.lift`"),
+        "{message}"
+    );
+    assert_eq!(hint, "did you mean `seed`?");
+    let (message, _) = refusal(&format!(
+        "{first}[[variants]]\nname = \"b\"\n[variants.lift]\nseed = \"x\"\n"
+    ));
+    assert!(
+        message.starts_with("toy.toml:16:11: lift: wrong parameters"),
+        "{message}"
+    );
+    let (message, _) = refusal(&format!("{first}[[variants]]\nname = \"b\"\nweights.lift = \"gone\"\n"));
+    assert!(message.starts_with("toy.toml:16:9: `gone` is not there"), "{message}");
+    let (message, _) = refusal(&format!("{first}[[variants]]\nname = \"a\"\n"));
+    assert!(message.starts_with("toy.toml:15:1: two variants"), "{message}");
+    let episode =
+        |select: &str| format!("[[episodes]]\nroot = \"episodes\"\nselect = \"{select}\"\nid = \"{select}1\"\n");
+    let (message, _) = refusal(&(episode("a") + &episode("bb")));
+    assert!(
+        message.starts_with("toy.toml:17:1: `episodes` has no episode `bb`"),
+        "{message}"
+    );
+    let (message, _) = refusal("[run.x]\n");
+    assert!(message.starts_with("toy.toml:11:6: unknown field `x`"), "{message}");
+}
+
+#[test]
 fn missing_files_are_named() {
     let (message, hint) = refusal("[weights]\nlift = \"gone.safetensors\"\n");
     assert!(
-        message.starts_with("toy.toml:12:1: `gone.safetensors` is not there") || message.contains("gone.safetensors"),
+        message.starts_with("toy.toml:12:1: `gone.safetensors` is not there"),
         "{message}"
     );
     assert!(hint.contains("relative to the manifest"), "{hint}");
     let workspace = Workspace::new();
     std::fs::remove_dir_all(workspace.path("episodes")).unwrap();
-    assert!(told(&workspace).0.contains("is no folder"));
+    assert!(told(&workspace).0.contains("is not a folder"));
     std::fs::create_dir(workspace.path("episodes")).unwrap();
     assert!(told(&workspace).0.contains("holds no episode"));
 }
@@ -87,7 +122,7 @@ fn single_episodes_are_picked_by_id_and_named_safely() {
     with("[[episodes]]\nroot = \"episodes\"\n");
     assert!(told(&workspace).1.contains("set `select` to one of: a, b, c"));
     with("[[episodes]]\nroot = \"episodes\"\nselect = \"a\"\nid = \"../../etc\"\n");
-    assert!(told(&workspace).0.contains("is no name for a clip"));
+    assert!(told(&workspace).0.contains("invalid clip name"));
     with("[[episodes]]\nroot = \"episodes\"\nselect = \"a\"\n[[episodes]]\nroot = \"episodes\"\nselect = \"a\"\n");
     assert!(told(&workspace).1.contains("each its own") || told(&workspace).0.contains("twice"));
     with(
@@ -182,7 +217,7 @@ fn a_stage_program_that_is_not_there_is_named() {
     workspace.manifest("[executor]\nprograms = \"nowhere\"\n");
     let error = workspace.try_prepare().unwrap_err();
     assert!(
-        matches!(error, Error::Program { .. }) && error.exit() == Exit::Trouble,
+        matches!(error, Error::Program { .. }) && error.exit() == Exit::Environment,
         "{error}"
     );
     assert!(

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use rogs_orchestrator::plan::{From, Plan};
+use rogs_orchestrator::plan::{InputSource, Plan};
+use rogs_orchestrator::stage::StageId;
 use rogs_schemas::ledger::Attempt;
 use rogs_schemas::records::scores::ScoreSheet;
 use rogs_score::timing::ClipTiming;
@@ -26,7 +27,7 @@ pub(crate) fn timing(
         |node: usize| Some(phase(node, "total")? - phase(node, "load").unwrap_or(0.0)).map(|seconds| seconds.max(0.0));
     let node = &plan.nodes[score];
     let given = node.inputs.iter().find_map(|input| match input.from {
-        From::Prediction(index) => plan.predictions.get(index as usize),
+        InputSource::Prediction(index) => plan.predictions.get(index as usize),
         _ => None,
     });
     let mut timing = given
@@ -51,9 +52,9 @@ pub(crate) fn timing(
     timing.threads = threads(score);
     let mut peak = costs.get(&score).map(|attempt| attempt.peak_rss_bytes);
     for upstream in plan.upstream(score) {
-        match plan.nodes[upstream].stage.as_str() {
-            "lift" => timing.lift_s = without_loading(upstream),
-            "refine" => {
+        match plan.nodes[upstream].stage {
+            StageId::Lift => timing.lift_s = without_loading(upstream),
+            StageId::Refine => {
                 let scored = node.params.get("update").and_then(serde_json::Value::as_u64);
                 let made = plan.nodes[upstream]
                     .params

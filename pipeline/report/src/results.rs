@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use rogs_orchestrator::ledger::{last_by_output, read_all};
-use rogs_orchestrator::plan::{Plan, Unit, read_plan};
+use rogs_orchestrator::plan::{Plan, WorkUnit, read_plan};
+use rogs_orchestrator::stage::StageId;
 use rogs_orchestrator::state::OutputState;
 use rogs_orchestrator::status::status_of;
 use rogs_pages::{Plot, PlotPoint, Series};
@@ -82,7 +83,7 @@ impl RunResults {
         let mut costs: BTreeMap<usize, &Attempt> = BTreeMap::new();
         for (node_index, node) in plan.nodes.iter().enumerate() {
             let output = plan.output(
-                Unit {
+                WorkUnit {
                     clip: index,
                     node: node_index,
                 },
@@ -107,10 +108,10 @@ impl RunResults {
                 continue;
             }
             let path = plan.run.join(&output);
-            match node.stage.as_str() {
-                "ingest" => report.clip = Some(path),
-                "robot-maps" if !node.by_key => report.robot = Some(path),
-                "score" => {
+            match node.stage {
+                StageId::Ingest => report.clip = Some(path),
+                StageId::RobotMaps if !node.by_key => report.robot = Some(path),
+                StageId::Score => {
                     if let Ok((scores, _)) = read_record::<Scores>(&path) {
                         let sheet = scores.summary;
                         if sheet.images.is_empty() && sheet.tracks.is_empty() {

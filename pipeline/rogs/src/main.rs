@@ -58,5 +58,5 @@ fn exit_of(error: &anyhow::Error) -> Exit {
         .chain()
         .filter_map(|cause| cause.downcast_ref::<io::Error>())
         .any(refused);
-    if refused { Exit::Trouble } else { Exit::Usage }
+    if refused { Exit::Environment } else { Exit::Usage }
 }

@@ -3,39 +3,71 @@
 use std::ffi::OsString;
 use std::process::ExitCode;
 
-use rogs_worker::{Stage, stage_main_from};
+use rogs_orchestrator::stage::StageId;
+use rogs_worker::stage_main_from;
 
-type StageMain = fn(Vec<OsString>) -> ExitCode;
-
-/// Every stage, in pipeline order.
-const STAGES: [(&str, StageMain); 6] = [
-    (rogs_ingest::Ingest::NAME, ingest),
-    (
-        rogs_robot_maps::RobotMapsStage::NAME,
-        stage_main_from::<rogs_robot_maps::RobotMapsStage>,
-    ),
-    (
-        rogs_conditioning::ConditioningStage::NAME,
-        stage_main_from::<rogs_conditioning::ConditioningStage>,
-    ),
-    (rogs_lift::Lift::NAME, stage_main_from::<rogs_lift::Lift>),
-    (rogs_refine::Refine::NAME, stage_main_from::<rogs_refine::Refine>),
-    (rogs_score::Score::NAME, stage_main_from::<rogs_score::Score>),
-];
+use crate::output;
 
 /// Runs the stage `name` with the arguments of its own program.
 pub(crate) fn run(name: &str, arguments: Vec<OsString>) -> ExitCode {
-    match STAGES.iter().find(|(stage, _)| *stage == name) {
-        Some((_, main)) => main(arguments),
-        None => {
-            let names: Vec<&str> = STAGES.iter().map(|(stage, _)| *stage).collect();
-            eprintln!("error: there is no stage `{name}`; stages are {}", names.join(", "));
-            ExitCode::from(2)
+    let Ok(stage) = name.parse() else {
+        let names: Vec<&str> = StageId::ALL.iter().map(|stage| stage.name()).collect();
+        output::note(&format!(
+            "error: there is no stage `{name}`; stages are {}",
+            names.join(", ")
+        ));
+        return ExitCode::from(2);
+    };
+    match stage {
+        // Ingest has one face more: `list ROOT`.
+        StageId::Ingest => {
+            rogs_ingest::list_main(&arguments).unwrap_or_else(|| stage_main_from::<rogs_ingest::Ingest>(arguments))
         }
+        StageId::RobotMaps => stage_main_from::<rogs_robot_maps::RobotMapsStage>(arguments),
+        StageId::Conditioning => stage_main_from::<rogs_conditioning::ConditioningStage>(arguments),
+        StageId::Lift => stage_main_from::<rogs_lift::Lift>(arguments),
+        StageId::Refine => stage_main_from::<rogs_refine::Refine>(arguments),
+        StageId::Score => stage_main_from::<rogs_score::Score>(arguments),
     }
 }
 
-/// Ingest has one face more: `list ROOT`.
-fn ingest(arguments: Vec<OsString>) -> ExitCode {
-    rogs_ingest::list_main(&arguments).unwrap_or_else(|| stage_main_from::<rogs_ingest::Ingest>(arguments))
+#[cfg(test)]
+mod tests {
+    use rogs_worker::Stage;
+
+    use super::*;
+
+    /// The orchestrator's table and the stages agree on names, roles and parameters.
+    fn agrees<S: Stage>(id: StageId) {
+        assert_eq!(S::NAME, id.name());
+        let spec = id.spec();
+        let (mut known, mut described): (Vec<&str>, Vec<String>) = (
+            spec.inputs.iter().map(|input| input.role).collect(),
+            S::inputs().into_iter().map(|input| input.role).collect(),
+        );
+        known.sort_unstable();
+        described.sort_unstable();
+        assert_eq!(known, described, "inputs of {id}");
+        let defaults = serde_json::to_value(S::Params::default()).unwrap();
+        let filled = spec.filled.iter().map(|(name, _)| *name);
+        let deciding = spec.inputs.iter().filter_map(|input| Some(input.when.as_ref()?.param));
+        let unless = spec.outputs.iter().filter_map(|output| output.unless);
+        for name in filled.chain(deciding).chain(unless).chain(spec.selector) {
+            assert!(defaults.get(name).is_some(), "{id} has no parameter `{name}`");
+        }
+    }
+
+    #[test]
+    fn the_table_of_the_orchestrator_is_that_of_the_stages() {
+        for &id in StageId::ALL {
+            match id {
+                StageId::Ingest => agrees::<rogs_ingest::Ingest>(id),
+                StageId::RobotMaps => agrees::<rogs_robot_maps::RobotMapsStage>(id),
+                StageId::Conditioning => agrees::<rogs_conditioning::ConditioningStage>(id),
+                StageId::Lift => agrees::<rogs_lift::Lift>(id),
+                StageId::Refine => agrees::<rogs_refine::Refine>(id),
+                StageId::Score => agrees::<rogs_score::Score>(id),
+            }
+        }
+    }
 }

@@ -7,6 +7,7 @@ mod queue;
 mod schedule;
 mod slot;
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use serde::Serialize;
@@ -17,6 +18,7 @@ pub use schedule::execute;
 use crate::exit::Exit;
 use crate::manifest::{Manifest, parse_size};
 use crate::programs::StagePrograms;
+use crate::stage::StageId;
 use crate::sys::{Interrupts, available_memory};
 
 /// How to run. Nothing here changes a result.
@@ -31,9 +33,9 @@ pub struct RunOptions {
     /// Memory that all workers together may take, bytes.
     pub memory: u64,
     /// Memory that a worker of a stage is expected to take until it has been measured, bytes.
-    pub stage_memory: std::collections::BTreeMap<String, u64>,
+    pub stage_memory: BTreeMap<StageId, u64>,
     /// Seconds after which a unit is given up, by stage.
-    pub deadline: std::collections::BTreeMap<String, f64>,
+    pub deadline: BTreeMap<StageId, f64>,
     /// Seconds that units in hand may still take after the first signal.
     pub grace: f64,
     /// What is shown on stderr.
@@ -59,7 +61,7 @@ impl RunOptions {
         let stage_memory = executor
             .stage_memory
             .iter()
-            .filter_map(|(stage, text)| Some((stage.clone(), size(text)?)));
+            .filter_map(|(&stage, text)| Some((stage, size(text)?)));
         Self {
             programs,
             workers,

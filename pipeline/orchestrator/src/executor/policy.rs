@@ -2,6 +2,9 @@
 
 use rogs_schemas::ledger::Failure;
 use rogs_schemas::protocol::FailureCode;
+use signal_hook::consts::{SIGKILL, SIGTERM, SIGXFSZ};
+
+use crate::stage::StageId;
 
 /// What to do with a unit that failed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -15,34 +18,35 @@ pub(super) enum Retry {
 }
 
 /// The policy: passing troubles get three attempts, lack of memory or disk a second one alone, everything else none,
-/// because the same input would fail the same way.
-pub(super) fn retry(failure: &Failure, attempts: u8) -> Retry {
-    match failure.code {
+/// because the same input would fail the same way or take as long.
+pub(super) fn retry(code: FailureCode, attempts: u8) -> Retry {
+    match code {
         FailureCode::Io if attempts < 3 => Retry::Again,
-        FailureCode::Resource if attempts < 2 && !failure.message.contains("took longer than") => Retry::Alone,
-        _ => Retry::No,
+        FailureCode::Resource if attempts < 2 => Retry::Alone,
+        FailureCode::Io | FailureCode::Resource => Retry::No,
+        FailureCode::BadInput | FailureCode::BadParams | FailureCode::Deadline | FailureCode::Internal => Retry::No,
     }
 }
 
 /// How a worker that died is to be understood.
-pub(super) fn of_crash(stage: &str, clip: &str, status: std::process::ExitStatus, stderr: &[String]) -> Failure {
+pub(super) fn of_crash(stage: StageId, clip: &str, status: std::process::ExitStatus, stderr: &[String]) -> Failure {
     use std::os::unix::process::ExitStatusExt as _;
     let how = match status.signal() {
         Some(signal) => format!("was killed by signal {signal}"),
         None => format!("ended with exit code {}", status.code().unwrap_or(-1)),
     };
     let no_memory = stderr.iter().any(|line| line.contains("memory allocation of"));
-    let (code, hint) = if status.signal() == Some(libc::SIGKILL) || no_memory {
+    let (code, hint) = if status.signal() == Some(SIGKILL) || no_memory {
         (
             FailureCode::Resource,
             "probably out of memory: use fewer workers (`workers` in [executor]) or a larger machine",
         )
-    } else if status.signal() == Some(libc::SIGXFSZ) {
+    } else if status.signal() == Some(SIGXFSZ) {
         (
             FailureCode::Resource,
             "the output is longer than files may be here: raise the limit (`ulimit -f`)",
         )
-    } else if status.code() == Some(75) || status.signal() == Some(libc::SIGTERM) {
+    } else if status.code() == Some(75) || status.signal() == Some(SIGTERM) {
         (FailureCode::Io, "someone stopped the worker; run again")
     } else {
         (
@@ -66,28 +70,24 @@ mod tests {
 
     #[test]
     fn only_passing_troubles_are_tried_again() {
-        let failure = |code| Failure {
-            code,
-            message: String::new(),
-            hint: None,
-        };
-        assert_eq!(retry(&failure(FailureCode::BadInput), 1), Retry::No);
-        assert_eq!(retry(&failure(FailureCode::Internal), 1), Retry::No);
-        assert_eq!(retry(&failure(FailureCode::Io), 2), Retry::Again);
-        assert_eq!(retry(&failure(FailureCode::Io), 3), Retry::No);
-        assert_eq!(retry(&failure(FailureCode::Resource), 1), Retry::Alone);
-        assert_eq!(retry(&failure(FailureCode::Resource), 2), Retry::No);
+        assert_eq!(retry(FailureCode::BadInput, 1), Retry::No);
+        assert_eq!(retry(FailureCode::Internal, 1), Retry::No);
+        assert_eq!(retry(FailureCode::Deadline, 1), Retry::No);
+        assert_eq!(retry(FailureCode::Io, 2), Retry::Again);
+        assert_eq!(retry(FailureCode::Io, 3), Retry::No);
+        assert_eq!(retry(FailureCode::Resource, 1), Retry::Alone);
+        assert_eq!(retry(FailureCode::Resource, 2), Retry::No);
     }
 
     #[test]
     fn deaths_are_told_apart() {
         let of = |status: i32, stderr: &[&str]| {
             let stderr: Vec<String> = stderr.iter().map(|line| (*line).to_owned()).collect();
-            of_crash("lift", "a", ExitStatus::from_raw(status), &stderr).code
+            of_crash(StageId::Lift, "a", ExitStatus::from_raw(status), &stderr).code
         };
         assert_eq!(of(9, &[]), FailureCode::Resource);
         assert_eq!(of(6, &["memory allocation of 99 bytes failed"]), FailureCode::Resource);
-        assert_eq!(of(libc::SIGXFSZ, &[]), FailureCode::Resource);
+        assert_eq!(of(SIGXFSZ, &[]), FailureCode::Resource);
         assert_eq!(of(6, &[]), FailureCode::Internal);
         assert_eq!(of(75 << 8, &[]), FailureCode::Io);
         assert_eq!(of(1 << 8, &[]), FailureCode::Internal);

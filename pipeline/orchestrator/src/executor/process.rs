@@ -9,10 +9,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use rogs_schemas::protocol::{Event, Job};
+use rustix::process::{Pid, Signal, kill_process};
 
 use crate::error::{Error, Result};
 use crate::programs::StagePrograms;
-use crate::sys;
+use crate::stage::StageId;
 
 /// Lines of stderr that are kept for the clip's log.
 const STDERR_LINES: usize = 40;
@@ -25,15 +26,15 @@ const START_SECONDS: u64 = 120;
 
 /// A running worker.
 pub(super) struct WorkerProcess {
-    pub(super) stage: String,
+    pub(super) stage: StageId,
     child: Child,
     stdin: Option<ChildStdin>,
     events: Receiver<Event>,
     stderr: Arc<Mutex<VecDeque<String>>>,
 }
 
-/// What came from a worker.
-pub(super) enum Heard {
+/// What came from a worker within some time.
+pub(super) enum Received {
     Event(Event),
     Nothing,
     /// The worker closed its events: it is dead or dying.
@@ -43,7 +44,7 @@ pub(super) enum Heard {
 impl WorkerProcess {
     /// Starts a worker and waits until it is ready. The calling thread must outlive it: the worker is told to stop when
     /// the thread that started it ends.
-    pub(super) fn start(programs: &StagePrograms, stage: &str, threads: usize, grace: f64) -> Result<Self> {
+    pub(super) fn start(programs: &StagePrograms, stage: StageId, threads: usize, grace: f64) -> Result<Self> {
         let mut command = programs.command(stage);
         command.args([
             "worker",
@@ -86,14 +87,14 @@ impl WorkerProcess {
             std::thread::spawn(move || keep_last_lines(pipe, &kept));
         }
         let mut worker = Self {
-            stage: stage.to_owned(),
+            stage,
             stdin: child.stdin.take(),
             child,
             events,
             stderr,
         };
         match worker.events.recv_timeout(Duration::from_secs(START_SECONDS)) {
-            Ok(Event::Ready { stage: told, .. }) if told == stage => Ok(worker),
+            Ok(Event::Ready { stage: name, .. }) if name == stage.name() => Ok(worker),
             Ok(other) => {
                 worker.kill();
                 Err(error(format!("does not speak the worker protocol: {other:?}")))
@@ -118,11 +119,11 @@ impl WorkerProcess {
     }
 
     /// Waits for the next event.
-    pub(super) fn listen(&self, timeout: Duration) -> Heard {
+    pub(super) fn listen(&self, timeout: Duration) -> Received {
         match self.events.recv_timeout(timeout) {
-            Ok(event) => Heard::Event(event),
-            Err(RecvTimeoutError::Timeout) => Heard::Nothing,
-            Err(RecvTimeoutError::Disconnected) => Heard::Closed,
+            Ok(event) => Received::Event(event),
+            Err(RecvTimeoutError::Timeout) => Received::Nothing,
+            Err(RecvTimeoutError::Disconnected) => Received::Closed,
         }
     }
 
@@ -143,7 +144,8 @@ impl WorkerProcess {
 
     /// Asks the worker to finish or give up its job within its grace period.
     pub(super) fn terminate(&self) {
-        sys::signal(&self.child, libc::SIGTERM);
+        // The child is not reaped yet, so its number is nobody else's. One that has ended already needs no signal.
+        let _ = kill_process(Pid::from_child(&self.child), Signal::TERM);
     }
 
     /// Ends the worker where it stands and reaps it.

@@ -2,12 +2,13 @@
 
 use std::collections::VecDeque;
 
-use crate::plan::{Plan, Unit};
+use crate::plan::{Plan, WorkUnit};
+use crate::stage::StageId;
 use crate::state::OutputState;
 
-/// State of a unit in this run.
+/// How far a unit is in this run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Cell {
+pub(super) enum Standing {
     /// Up to date before this run.
     UpToDate,
     /// Waits for other units, or for a slot.
@@ -22,11 +23,12 @@ pub(super) enum Cell {
 /// The units of a run.
 pub(super) struct Queue<'a> {
     plan: &'a Plan,
-    cells: Vec<Cell>,
+    /// Clip by clip, node by node.
+    standings: Vec<Standing>,
     /// Ready clips by node.
     ready: Vec<VecDeque<usize>>,
     /// Units to be run while nothing else runs.
-    alone: VecDeque<Unit>,
+    alone: VecDeque<WorkUnit>,
     /// Nodes that read a node's output.
     downstream: Vec<Vec<usize>>,
 }
@@ -40,17 +42,17 @@ impl<'a> Queue<'a> {
                 downstream[upstream].push(node);
             }
         }
-        let cell = |state: &OutputState| {
+        let standing = |state: &OutputState| {
             if *state == OutputState::UpToDate {
-                Cell::UpToDate
+                Standing::UpToDate
             } else {
-                Cell::Waiting
+                Standing::Waiting
             }
         };
-        let cells = states.iter().flatten().map(cell).collect();
+        let standings = states.iter().flatten().map(standing).collect();
         let mut queue = Self {
             plan,
-            cells,
+            standings,
             ready: vec![VecDeque::new(); nodes],
             alone: VecDeque::new(),
             downstream,
@@ -58,24 +60,29 @@ impl<'a> Queue<'a> {
         let clips: Vec<usize> = only.map_or_else(|| (0..plan.clips.len()).collect(), <[usize]>::to_vec);
         for clip in clips {
             for node in 0..nodes {
-                queue.push_if_ready(Unit { clip, node });
+                queue.push_if_ready(WorkUnit { clip, node });
             }
         }
         queue
     }
 
-    pub(super) fn cell(&self, unit: Unit) -> Cell {
-        self.cells[unit.clip * self.plan.nodes.len() + unit.node]
+    fn standing(&self, unit: WorkUnit) -> Standing {
+        self.standings[unit.clip * self.plan.nodes.len() + unit.node]
     }
 
-    fn set(&mut self, unit: Unit, cell: Cell) {
+    fn set(&mut self, unit: WorkUnit, standing: Standing) {
         let index = unit.clip * self.plan.nodes.len() + unit.node;
-        self.cells[index] = cell;
+        self.standings[index] = standing;
     }
 
-    fn push_if_ready(&mut self, unit: Unit) {
-        let there = |node: usize| matches!(self.cell(Unit { node, ..unit }), Cell::UpToDate | Cell::Made);
-        if self.cell(unit) == Cell::Waiting && self.plan.upstream(unit.node).all(there) {
+    fn push_if_ready(&mut self, unit: WorkUnit) {
+        let there = |node: usize| {
+            matches!(
+                self.standing(WorkUnit { node, ..unit }),
+                Standing::UpToDate | Standing::Made
+            )
+        };
+        if self.standing(unit) == Standing::Waiting && self.plan.upstream(unit.node).all(there) {
             self.ready[unit.node].push_back(unit.clip);
         }
     }
@@ -86,45 +93,44 @@ impl<'a> Queue<'a> {
     }
 
     /// A unit that must run alone, when nothing runs and no other unit is ready.
-    pub(super) fn take_alone(&mut self) -> Option<Unit> {
+    pub(super) fn take_alone(&mut self) -> Option<WorkUnit> {
         let unit = self.alone.pop_front()?;
-        self.set(unit, Cell::Running);
+        self.set(unit, Standing::Running);
         Some(unit)
     }
 
-    /// The next unit for a slot that has `stage` loaded: of that stage while `stay`, else the one deepest in the
-    /// pipeline, so that whole clips come out early. `fits` says whether a node may be started now.
-    pub(super) fn take(&mut self, stage: Option<&str>, stay: bool, fits: impl Fn(&str) -> bool) -> Option<Unit> {
-        let rank = |name: &str| {
-            crate::manifest::STAGES
-                .iter()
-                .position(|stage| *stage == name)
-                .unwrap_or(0)
-        };
+    /// The next unit for a slot: of the stage that it has loaded while `stay`, else the one deepest in the
+    /// pipeline, so that whole clips come out early. `fits` says whether a stage may be started now.
+    pub(super) fn take(
+        &mut self,
+        loaded: Option<StageId>,
+        stay: bool,
+        fits: impl Fn(StageId) -> bool,
+    ) -> Option<WorkUnit> {
         let nodes = &self.plan.nodes;
-        let candidates = (0..nodes.len()).filter(|&node| !self.ready[node].is_empty() && fits(&nodes[node].stage));
-        let preferred = |node: &usize| {
-            let loaded = stage == Some(nodes[*node].stage.as_str());
-            (loaded && stay, rank(&nodes[*node].stage), std::cmp::Reverse(*node))
+        let candidates = (0..nodes.len()).filter(|&node| !self.ready[node].is_empty() && fits(nodes[node].stage));
+        let preferred = |&node: &usize| {
+            let stage = nodes[node].stage;
+            (loaded == Some(stage) && stay, stage, std::cmp::Reverse(node))
         };
         let node = candidates.max_by_key(preferred)?;
         let clip = self.ready[node].pop_front()?;
-        let unit = Unit { clip, node };
-        self.set(unit, Cell::Running);
+        let unit = WorkUnit { clip, node };
+        self.set(unit, Standing::Running);
         Some(unit)
     }
 
     /// A unit is made; what it makes possible becomes ready.
-    pub(super) fn made(&mut self, unit: Unit) {
-        self.set(unit, Cell::Made);
+    pub(super) fn made(&mut self, unit: WorkUnit) {
+        self.set(unit, Standing::Made);
         for node in self.downstream[unit.node].clone() {
-            self.push_if_ready(Unit { node, ..unit });
+            self.push_if_ready(WorkUnit { node, ..unit });
         }
     }
 
     /// A unit is to be tried again.
-    pub(super) fn again(&mut self, unit: Unit, alone: bool) {
-        self.set(unit, Cell::Waiting);
+    pub(super) fn again(&mut self, unit: WorkUnit, alone: bool) {
+        self.set(unit, Standing::Waiting);
         if alone {
             self.alone.push_back(unit)
         } else {
@@ -133,30 +139,36 @@ impl<'a> Queue<'a> {
     }
 
     /// A unit was stopped and stays to be done.
-    pub(super) fn stopped(&mut self, unit: Unit) {
-        self.set(unit, Cell::Waiting);
+    pub(super) fn stopped(&mut self, unit: WorkUnit) {
+        self.set(unit, Standing::Waiting);
     }
 
     /// A unit failed for good; returns the nodes of its clip that are blocked by it.
-    pub(super) fn failed(&mut self, unit: Unit) -> Vec<usize> {
-        self.set(unit, Cell::Failed);
+    pub(super) fn failed(&mut self, unit: WorkUnit) -> Vec<usize> {
+        self.set(unit, Standing::Failed);
         let mut blocked = Vec::new();
         for node in unit.node + 1..self.plan.nodes.len() {
-            let here = Unit { node, ..unit };
-            let lost = |node: usize| matches!(self.cell(Unit { node, ..unit }), Cell::Failed | Cell::Blocked);
+            let here = WorkUnit { node, ..unit };
+            let lost = |node: usize| {
+                matches!(
+                    self.standing(WorkUnit { node, ..unit }),
+                    Standing::Failed | Standing::Blocked
+                )
+            };
             let needs_this = self
                 .plan
                 .upstream(node)
                 .any(|upstream| upstream == unit.node || blocked.contains(&upstream));
-            if self.cell(here) == Cell::Waiting && needs_this && self.plan.upstream(node).any(lost) {
-                self.set(here, Cell::Blocked);
+            if self.standing(here) == Standing::Waiting && needs_this && self.plan.upstream(node).any(lost) {
+                self.set(here, Standing::Blocked);
                 blocked.push(node);
             }
         }
         blocked
     }
 
-    pub(super) fn cells(&self) -> &[Cell] {
-        &self.cells
+    /// How far the units are: clip by clip, node by node.
+    pub(super) fn standings(&self) -> &[Standing] {
+        &self.standings
     }
 }

@@ -1,22 +1,23 @@
 //! The loop that gives ready units to slots and notes how they end.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
-use rogs_schemas::ledger::{Attempt, Failure, Outcome};
+use rogs_schemas::ledger::{Attempt, Failure, Outcome, now_ms};
 use rogs_schemas::protocol::FailureCode;
 
 use super::policy::{Retry, retry};
 use super::progress::Display;
-use super::queue::{Cell, Queue};
+use super::queue::{Queue, Standing};
 use super::slot::{JobResult, Message, Slot};
 use super::{ClipCounts, RunOptions, RunSummary, UnitCounts, UnitFailure};
 use crate::error::{Error, Result, io};
 use crate::exit::Exit;
 use crate::ledger::{Ledger, read_costs};
 use crate::lock::RunLock;
-use crate::plan::{Plan, Unit};
+use crate::plan::{Plan, WorkUnit};
+use crate::stage::StageId;
 use crate::state::{OutputState, output_state};
 
 /// Units of one stage that a slot takes in a row before it changes to a stage deeper in the pipeline: few enough to
@@ -37,14 +38,14 @@ pub fn execute(plan: &Plan, options: &RunOptions) -> Result<RunSummary> {
     plan.freeze()?;
     let states = plan.checked_states();
     sweep(plan, &states)?;
-    let (tell, hear) = channel();
+    let (sender, messages) = channel();
     std::thread::scope(|scope| {
         let slots = (0..options.workers)
-            .map(|number| Slot::start(scope, number, options, tell.clone()))
+            .map(|number| Slot::start(scope, number, options, sender.clone()))
             .collect();
         let mut schedule = Schedule::new(plan, options, &states, slots)?;
         drop(states);
-        let result = schedule.run(&hear);
+        let result = schedule.run(&messages);
         // Dropping the slots ends their threads, and those their workers.
         schedule.slots.clear();
         result.map(|()| schedule.summary(start))
@@ -79,10 +80,10 @@ struct Schedule<'a> {
     ledger: Ledger,
     display: Display,
     /// Units in hand by job number.
-    running: HashMap<u64, Unit>,
-    attempts: HashMap<Unit, u8>,
+    running: HashMap<u64, WorkUnit>,
+    attempts: HashMap<WorkUnit, u8>,
     /// Largest peak memory by stage, bytes.
-    memory: HashMap<String, u64>,
+    memory: BTreeMap<StageId, u64>,
     failures: Vec<UnitFailure>,
     warnings: Vec<String>,
     next_job: u64,
@@ -92,14 +93,14 @@ struct Schedule<'a> {
 impl<'a> Schedule<'a> {
     fn new(plan: &'a Plan, options: &'a RunOptions, states: &[Vec<OutputState>], slots: Vec<Slot>) -> Result<Self> {
         let queue = Queue::new(plan, states, options.only.as_deref());
-        let todo = queue.cells().iter().filter(|&&cell| cell == Cell::Waiting).count();
-        let mut memory: HashMap<String, u64> = options
-            .stage_memory
-            .iter()
-            .map(|(stage, &bytes)| (stage.clone(), bytes))
-            .collect();
+        let waiting = |standing: &&Standing| **standing == Standing::Waiting;
+        let todo = queue.standings().iter().filter(waiting).count();
+        let mut memory = options.stage_memory.clone();
         for (stage, cost) in read_costs(&plan.run)? {
-            memory.insert(stage, cost.peak_rss_bytes);
+            // The ledgers may know stages that this program has no more.
+            if let Ok(stage) = stage.parse() {
+                memory.insert(stage, cost.peak_rss_bytes);
+            }
         }
         Ok(Self {
             plan,
@@ -118,12 +119,12 @@ impl<'a> Schedule<'a> {
         })
     }
 
-    fn run(&mut self, hear: &Receiver<Message>) -> Result<()> {
-        let mut told = false;
+    fn run(&mut self, messages: &Receiver<Message>) -> Result<()> {
+        let mut announced = false;
         loop {
             let stopping = self.options.interrupts.count() > 0;
-            if stopping && !told {
-                told = true;
+            if stopping && !announced {
+                announced = true;
                 self.display
                     .note("stopping: clips in hand may finish; press Ctrl-C again to stop at once");
             }
@@ -133,7 +134,7 @@ impl<'a> Schedule<'a> {
             if self.running.is_empty() && (stopping || self.queue.is_empty()) {
                 return Ok(());
             }
-            match hear.recv_timeout(Duration::from_millis(200)) {
+            match messages.recv_timeout(Duration::from_millis(200)) {
                 Ok(Message::Progress {
                     slot,
                     fraction,
@@ -152,8 +153,8 @@ impl<'a> Schedule<'a> {
         }
     }
 
-    fn expected_memory(&self, stage: &str) -> u64 {
-        self.memory.get(stage).copied().unwrap_or(UNKNOWN_MEMORY)
+    fn expected_memory(&self, stage: StageId) -> u64 {
+        self.memory.get(&stage).copied().unwrap_or(UNKNOWN_MEMORY)
     }
 
     /// Gives every idle slot a unit, as far as memory goes. One unit always runs, however large.
@@ -163,21 +164,13 @@ impl<'a> Schedule<'a> {
                 continue;
             }
             let used: u64 = self.slots.iter().filter_map(|slot| slot.running).sum();
-            let fits = |stage: &str| {
+            let fits = |&stage: &StageId| {
                 self.running.is_empty() || used.saturating_add(self.expected_memory(stage)) <= self.options.memory
             };
+            let fitting: BTreeSet<StageId> = StageId::ALL.iter().copied().filter(fits).collect();
             let slot = &self.slots[number];
-            let (stage, stay) = (slot.stage.clone(), slot.streak < STREAK);
-            // The closure borrows what `take` changes nothing of.
-            let memory: HashMap<&str, bool> = self
-                .plan
-                .nodes
-                .iter()
-                .map(|node| (node.stage.as_str(), fits(&node.stage)))
-                .collect();
-            let unit = self.queue.take(stage.as_deref(), stay, |stage| {
-                memory.get(stage).copied().unwrap_or(true)
-            });
+            let (loaded, stay) = (slot.stage, slot.streak < STREAK);
+            let unit = self.queue.take(loaded, stay, |stage| fitting.contains(&stage));
             let unit = unit.or_else(|| {
                 let unit = self.running.is_empty().then(|| self.queue.take_alone()).flatten();
                 self.alone = unit.is_some();
@@ -190,7 +183,7 @@ impl<'a> Schedule<'a> {
         Ok(())
     }
 
-    fn start(&mut self, slot: usize, unit: Unit) -> Result<()> {
+    fn start(&mut self, slot: usize, unit: WorkUnit) -> Result<()> {
         let keys = self.plan.keys(unit.clip);
         let job = self.plan.job(self.next_job, unit, &keys);
         self.next_job += 1;
@@ -200,12 +193,12 @@ impl<'a> Schedule<'a> {
         self.running.insert(job.job, unit);
         let node = &self.plan.nodes[unit.node];
         self.display.start(slot, &job.clip_id, &node.label);
-        let memory = self.expected_memory(&node.stage);
-        self.slots[slot].assign(&node.stage, job, memory);
+        let memory = self.expected_memory(node.stage);
+        self.slots[slot].assign(node.stage, job, memory);
         Ok(())
     }
 
-    fn ended(&mut self, unit: Unit, mut result: JobResult) -> Result<()> {
+    fn ended(&mut self, unit: WorkUnit, mut result: JobResult) -> Result<()> {
         self.alone = false;
         if let Some(error) = result.fatal.take() {
             return Err(error);
@@ -225,11 +218,9 @@ impl<'a> Schedule<'a> {
         let node = &self.plan.nodes[unit.node];
         let clip = &self.plan.clips[unit.clip];
         let attempt = Attempt {
-            unix_ms: SystemTime::now()
-                .duration_since(UNIX_EPOCH)
-                .map_or(0, |time| time.as_millis() as u64),
+            unix_ms: now_ms(),
             clip_id: clip.id.clone(),
-            stage: node.stage.clone(),
+            stage: node.stage.to_string(),
             output,
             key: keys[unit.node].key,
             outcome: result.outcome,
@@ -250,7 +241,7 @@ impl<'a> Schedule<'a> {
         match attempt.outcome {
             Outcome::Stopped => self.queue.stopped(unit),
             Outcome::Done => {
-                let known = self.memory.entry(node.stage.clone()).or_default();
+                let known = self.memory.entry(node.stage).or_default();
                 *known = (*known).max(attempt.peak_rss_bytes);
                 self.queue.made(unit);
                 let seconds = attempt.seconds.get("total").copied().unwrap_or_default();
@@ -266,7 +257,7 @@ impl<'a> Schedule<'a> {
         Ok(())
     }
 
-    fn failed(&mut self, unit: Unit, failure: Option<Failure>) {
+    fn failed(&mut self, unit: WorkUnit, failure: Option<Failure>) {
         let (clip, node) = (&self.plan.clips[unit.clip], &self.plan.nodes[unit.node]);
         let unknown = || Failure {
             code: FailureCode::Internal,
@@ -276,7 +267,7 @@ impl<'a> Schedule<'a> {
         let failure = failure.unwrap_or_else(unknown);
         let attempts = self.attempts.entry(unit).or_default();
         *attempts += 1;
-        match retry(&failure, *attempts) {
+        match retry(failure.code, *attempts) {
             Retry::No => {
                 let blocked = self.queue.failed(unit);
                 let failure = UnitFailure {
@@ -309,26 +300,27 @@ impl<'a> Schedule<'a> {
     fn summary(&mut self, start: Instant) -> RunSummary {
         self.display.finish();
         let mut units = UnitCounts {
-            total: self.queue.cells().len(),
+            total: self.queue.standings().len(),
             ..UnitCounts::default()
         };
-        for cell in self.queue.cells() {
-            match cell {
-                Cell::UpToDate => units.up_to_date += 1,
-                Cell::Made => units.made += 1,
-                Cell::Failed => units.failed += 1,
-                Cell::Blocked => units.blocked += 1,
-                Cell::Waiting | Cell::Running => units.left += 1,
+        for standing in self.queue.standings() {
+            match standing {
+                Standing::UpToDate => units.up_to_date += 1,
+                Standing::Made => units.made += 1,
+                Standing::Failed => units.failed += 1,
+                Standing::Blocked => units.blocked += 1,
+                Standing::Waiting | Standing::Running => units.left += 1,
             }
         }
         let mut clips = ClipCounts {
             total: self.plan.clips.len(),
             ..ClipCounts::default()
         };
-        for cells in self.queue.cells().chunks(self.plan.nodes.len().max(1)) {
-            if cells.contains(&Cell::Failed) {
+        for of_clip in self.queue.standings().chunks(self.plan.nodes.len().max(1)) {
+            let done = |standing: &Standing| matches!(standing, Standing::UpToDate | Standing::Made);
+            if of_clip.contains(&Standing::Failed) {
                 clips.failed += 1;
-            } else if cells.iter().all(|cell| matches!(cell, Cell::UpToDate | Cell::Made)) {
+            } else if of_clip.iter().all(done) {
                 clips.done += 1;
             } else {
                 clips.left += 1;

@@ -8,7 +8,8 @@ use rogs_schemas::protocol::{Event, FailureCode, Job};
 
 use super::RunOptions;
 use super::policy::of_crash;
-use super::process::{Heard, WorkerProcess};
+use super::process::{Received, WorkerProcess};
+use crate::stage::StageId;
 
 /// How often a waiting slot looks for signals and deadlines.
 const TICK: Duration = Duration::from_millis(100);
@@ -16,12 +17,12 @@ const TICK: Duration = Duration::from_millis(100);
 /// A slot as the scheduler sees it.
 pub(super) struct Slot {
     /// Stage that the slot's worker has loaded.
-    pub(super) stage: Option<String>,
+    pub(super) stage: Option<StageId>,
     /// Units of that stage in a row.
     pub(super) streak: usize,
     /// Memory that the unit in hand is expected to take, while there is one.
     pub(super) running: Option<u64>,
-    assign: Sender<Job>,
+    assign: Sender<(StageId, Job)>,
 }
 
 /// What a slot tells the scheduler.
@@ -81,10 +82,10 @@ impl Slot {
         scope: &'scope std::thread::Scope<'scope, '_>,
         number: usize,
         options: &'scope RunOptions,
-        tell: Sender<Message>,
+        messages: Sender<Message>,
     ) -> Self {
         let (assign, jobs) = channel();
-        scope.spawn(move || serve(number, options, &jobs, &tell));
+        scope.spawn(move || serve(number, options, &jobs, &messages));
         Self {
             stage: None,
             streak: 0,
@@ -94,31 +95,31 @@ impl Slot {
     }
 
     /// Gives the slot a job. It must be idle.
-    pub(super) fn assign(&mut self, stage: &str, job: Job, memory: u64) {
-        if self.stage.as_deref() == Some(stage) {
+    pub(super) fn assign(&mut self, stage: StageId, job: Job, memory: u64) {
+        if self.stage == Some(stage) {
             self.streak += 1;
         } else {
-            self.stage = Some(stage.to_owned());
+            self.stage = Some(stage);
             self.streak = 1;
         }
         self.running = Some(memory);
         // The thread lives as long as this sender.
-        let _ = self.assign.send(job);
+        let _ = self.assign.send((stage, job));
     }
 }
 
-fn serve(number: usize, options: &RunOptions, jobs: &Receiver<Job>, tell: &Sender<Message>) {
+fn serve(number: usize, options: &RunOptions, jobs: &Receiver<(StageId, Job)>, messages: &Sender<Message>) {
     let mut worker: Option<WorkerProcess> = None;
-    while let Ok(job) = jobs.recv() {
+    while let Ok((stage, job)) = jobs.recv() {
         let mut progress = |fraction, message| {
-            let _ = tell.send(Message::Progress {
+            let _ = messages.send(Message::Progress {
                 slot: number,
                 fraction,
                 message,
             });
         };
-        let result = Box::new(run(options, &mut worker, &job, &mut progress));
-        if tell
+        let result = Box::new(run(options, &mut worker, stage, &job, &mut progress));
+        if messages
             .send(Message::Ended {
                 slot: number,
                 job: job.job,
@@ -135,12 +136,12 @@ fn serve(number: usize, options: &RunOptions, jobs: &Receiver<Job>, tell: &Sende
 fn run(
     options: &RunOptions,
     kept: &mut Option<WorkerProcess>,
+    stage: StageId,
     job: &Job,
     progress: &mut dyn FnMut(f64, String),
 ) -> JobResult {
-    let stage = &job.material.stage;
     let mut worker = match kept.take() {
-        Some(worker) if worker.stage == *stage => worker,
+        Some(worker) if worker.stage == stage => worker,
         other => {
             drop(other);
             match WorkerProcess::start(&options.programs, stage, options.threads, options.grace) {
@@ -160,21 +161,21 @@ fn run(
     let start = Instant::now();
     let deadline = options
         .deadline
-        .get(stage)
+        .get(&stage)
         .map(|&seconds| Duration::from_secs_f64(seconds.clamp(0.0, 1e9)));
-    let mut told_to_stop = None::<Instant>;
+    let mut stopping_since = None::<Instant>;
     let mut overdue = false;
     loop {
-        match if sent { worker.listen(TICK) } else { Heard::Closed } {
-            Heard::Event(Event::Progress { fraction, message, .. }) => progress(fraction, message),
-            Heard::Event(Event::Done {
+        match if sent { worker.listen(TICK) } else { Received::Closed } {
+            Received::Event(Event::Progress { fraction, message, .. }) => progress(fraction, message),
+            Received::Event(Event::Done {
                 job: number,
                 seconds,
                 peak_rss_bytes,
                 threads,
                 warnings,
             }) if number == job.job => {
-                *kept = told_to_stop.is_none().then_some(worker);
+                *kept = stopping_since.is_none().then_some(worker);
                 return JobResult {
                     seconds,
                     peak_rss_bytes,
@@ -183,23 +184,23 @@ fn run(
                     ..JobResult::of(Outcome::Done)
                 };
             }
-            Heard::Event(Event::Failed {
+            Received::Event(Event::Failed {
                 job: number,
                 code,
                 message,
                 hint,
             }) if number == job.job => {
                 let stderr = worker.stderr_tail();
-                *kept = told_to_stop.is_none().then_some(worker);
+                *kept = stopping_since.is_none().then_some(worker);
                 return JobResult::failed(Failure { code, message, hint }, stderr);
             }
-            Heard::Event(_) | Heard::Nothing => {}
-            Heard::Closed => {
+            Received::Event(_) | Received::Nothing => {}
+            Received::Closed => {
                 let status = worker.reap();
                 let stderr = worker.stderr_tail();
                 return match status {
                     _ if overdue => JobResult::failed(too_slow(job, deadline.unwrap_or_default()), stderr),
-                    _ if told_to_stop.is_some() => JobResult::of(Outcome::Stopped),
+                    _ if stopping_since.is_some() => JobResult::of(Outcome::Stopped),
                     Some(status) => JobResult::failed(of_crash(stage, &job.clip_id, status, &stderr), stderr),
                     None => JobResult::of(Outcome::Stopped),
                 };
@@ -207,9 +208,9 @@ fn run(
         }
         overdue |= deadline.is_some_and(|deadline| start.elapsed() > deadline);
         let stop = overdue || options.interrupts.count() > 0;
-        match told_to_stop {
+        match stopping_since {
             None if stop => {
-                told_to_stop = Some(Instant::now());
+                stopping_since = Some(Instant::now());
                 worker.terminate();
             }
             // A worker that does not end by itself, or a second signal: no more patience.
@@ -224,7 +225,7 @@ fn run(
 fn too_slow(job: &Job, deadline: Duration) -> Failure {
     let seconds = deadline.as_secs_f64();
     Failure {
-        code: FailureCode::Resource,
+        code: FailureCode::Deadline,
         message: format!(
             "`{}` took longer than {seconds} s on clip `{}`",
             job.material.stage, job.clip_id

@@ -1,6 +1,6 @@
 //! The clips of a plan: which episodes, under which names, with which content.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -8,21 +8,36 @@ use rayon::prelude::*;
 use rogs_schemas::ContentHash;
 use serde_json::Map;
 
-use super::build::normalise_overrides;
-use super::{Clip, Plan, Source};
-use crate::diagnose::Text;
+use super::model::{Clip, Plan, Source, latents_file};
+use super::params::normalise_overrides;
+use crate::diagnose::{At, Text};
 use crate::error::{Result, did_you_mean};
 use crate::manifest::{Episode, Input, Manifest, Params, safe_name};
 use crate::programs::{ListedEpisode, StagePrograms};
 use crate::sources::SourceCache;
+use crate::stage::StageId;
 
 /// One episode that was asked for, before its content is known.
 struct Asked<'a> {
+    /// Which of `[[episodes]]` asks for it; `None`: `[input]`.
+    table: Option<usize>,
     root: PathBuf,
     listed: Arc<ListedEpisode>,
     id: Option<&'a str>,
     calibration: Option<&'a PathBuf>,
     ingest: &'a Params,
+}
+
+impl Asked<'_> {
+    /// The table of the manifest that asks for it.
+    fn at(&self) -> At<'static> {
+        self.table.map_or(At::key("input"), episode_table)
+    }
+}
+
+/// One of `[[episodes]]`.
+fn episode_table(index: usize) -> At<'static> {
+    At::key("episodes").item(index)
 }
 
 /// Fills in the clips of a plan.
@@ -38,17 +53,20 @@ pub(super) fn add_clips(
         known: HashMap::new(),
     };
     let mut asked = Vec::new();
-    for episode in &manifest.episodes {
-        asked.push(pick(
-            episode,
-            listings.of(text, &["episodes", "root"], &episode.root)?,
-            text,
-        )?);
+    for (index, episode) in manifest.episodes.iter().enumerate() {
+        let listing = listings.of(text, episode_table(index).then("root"), &episode.root)?;
+        asked.push(pick(episode, index, listing, text)?);
     }
     if let Some(input) = &manifest.input {
-        asked.extend(filter(input, listings.of(text, &["input", "root"], &input.root)?));
+        asked.extend(filter(
+            input,
+            listings.of(text, At::key("input").then("root"), &input.root)?,
+        ));
         if asked.is_empty() {
-            let error = text.error(&["input"], format!("no episode in `{}` is taken", input.root.display()));
+            let error = text.error(
+                At::key("input"),
+                format!("no episode in `{}` is taken", input.root.display()),
+            );
             return Err(error.with_hint("check `include`, `exclude`, `layout` and `limit`"));
         }
     }
@@ -56,7 +74,7 @@ pub(super) fn add_clips(
     let mut overrides = HashMap::new();
     let mut normalised = Vec::with_capacity(asked.len());
     for asked in &asked {
-        let map = match plan.nodes.first() {
+        let map = match plan.nodes.iter().find(|node| node.stage == StageId::Ingest) {
             Some(node) => normalise_overrides(programs, node, asked.ingest, &mut overrides)?,
             None => Map::new(),
         };
@@ -73,14 +91,14 @@ pub(super) fn add_clips(
             Some(path) => Some(match calibrations.get(path) {
                 Some(&index) => index,
                 None => {
-                    let index = calibration(plan, path, text, sources)?;
+                    let index = calibration(plan, path, asked.at().then("calibration"), text, sources)?;
                     calibrations.insert(path, index);
                     index
                 }
             }),
         };
         let predictions = predictions(plan, &id, sources)?;
-        let latents = plan.latents.as_ref().map(|root| super::latents_file(root, &id));
+        let latents = plan.latents.as_ref().map(|root| latents_file(root, &id));
         let latents = latents.filter(|file| file.is_file());
         let clip = Clip {
             predictions,
@@ -141,25 +159,25 @@ impl Listing {
 }
 
 impl Listings<'_> {
-    fn of(&mut self, text: &Text, keys: &[&str], root: &Path) -> Result<&Listing> {
+    fn of(&mut self, text: &Text, at: At<'_>, root: &Path) -> Result<&Listing> {
         if self.known.contains_key(root) {
             return Ok(&self.known[root]);
         }
         if !root.is_dir() {
-            let error = text.error(keys, format!("`{}` is no folder", root.display()));
+            let error = text.error(at, format!("`{}` is not a folder", root.display()));
             return Err(error.with_hint("paths in a manifest are relative to the manifest's folder"));
         }
         let episodes = self.programs.list_episodes(root)?;
         if episodes.is_empty() {
             let message = format!("`{}` holds no episode in a layout that ingest knows", root.display());
-            return Err(text.error(keys, message));
+            return Err(text.error(at, message));
         }
         Ok(self.known.entry(root.to_owned()).or_insert(Listing::new(episodes)))
     }
 }
 
-/// The one episode that an `[[episodes]]` table means.
-fn pick<'a>(episode: &'a Episode, listing: &Listing, text: &Text) -> Result<Asked<'a>> {
+/// The one episode that the n-th of `[[episodes]]` means.
+fn pick<'a>(episode: &'a Episode, index: usize, listing: &Listing, text: &Text) -> Result<Asked<'a>> {
     let found = listing.called(episode.select.as_deref());
     let [listed] = found[..] else {
         let listed = &listing.episodes;
@@ -173,22 +191,21 @@ fn pick<'a>(episode: &'a Episode, listing: &Listing, text: &Text) -> Result<Aske
             })
         };
         let root = episode.root.display();
-        let (keys, message): (&[&str], _) = match &episode.select {
-            Some(select) if found.is_empty() => {
-                (&["episodes", "select"], format!("`{root}` has no episode `{select}`"))
-            }
+        let at = episode_table(index);
+        let (at, message) = match &episode.select {
+            Some(select) if found.is_empty() => (at.then("select"), format!("`{root}` has no episode `{select}`")),
             Some(select) => (
-                &["episodes", "select"],
+                at.then("select"),
                 format!("`{select}` means {} episodes in `{root}`", found.len()),
             ),
-            None => (&["episodes"], format!("`{root}` holds {} episodes", found.len())),
+            None => (at, format!("`{root}` holds {} episodes", found.len())),
         };
         let meant = episode
             .select
             .as_deref()
             .and_then(|select| did_you_mean(select, names().map(String::as_str)));
         let some: Vec<_> = names().take(8).map(String::as_str).collect();
-        return Err(text.error(keys, message).with_hint(match meant {
+        return Err(text.error(at, message).with_hint(match meant {
             Some(meant) => format!("did you mean `{meant}`?"),
             None => format!(
                 "set `select` to one of: {}{}",
@@ -198,6 +215,7 @@ fn pick<'a>(episode: &'a Episode, listing: &Listing, text: &Text) -> Result<Aske
         }));
     };
     Ok(Asked {
+        table: Some(index),
         root: folder_of(&episode.root, listed),
         listed: Arc::clone(listed),
         id: episode.id.as_deref(),
@@ -224,6 +242,7 @@ fn filter<'a>(input: &'a Input, listing: &Listing) -> Vec<Asked<'a>> {
             && !exclude.fit(listed)
     });
     let make = |listed: &Arc<ListedEpisode>| Asked {
+        table: None,
         root: folder_of(&input.root, listed),
         listed: Arc::clone(listed),
         id: None,
@@ -262,32 +281,29 @@ impl<'a> Patterns<'a> {
 
 /// Safe and unique names. A name that was chosen is kept; a name that was made gets a suffix where it would collide.
 fn names(asked: &[Asked<'_>], text: &Text) -> Result<Vec<String>> {
-    let mut taken: BTreeMap<String, usize> = BTreeMap::new();
-    for (index, id) in asked
-        .iter()
-        .enumerate()
-        .filter_map(|(index, asked)| Some((index, asked.id?)))
-    {
-        if taken.insert(id.to_lowercase(), index).is_some() {
-            return Err(text.error(&["episodes", "id"], format!("two episodes have the id `{id}`")));
+    let mut taken = BTreeSet::new();
+    for asked in asked {
+        if let Some(id) = asked.id.filter(|id| !taken.insert(id.to_lowercase())) {
+            let message = format!("two episodes have the id `{id}`");
+            return Err(text.error(asked.at().then("id"), message));
         }
     }
     let mut ids = Vec::with_capacity(asked.len());
     let mut seen = BTreeSet::new();
-    for (index, asked) in asked.iter().enumerate() {
+    for asked in asked {
         if let Some(id) = asked.id {
             ids.push(id.to_owned());
             continue;
         }
         if !seen.insert((&asked.root, asked.listed.selector.as_str())) {
             let message = format!("the episode `{}` is named twice", asked.listed.episode_id);
-            return Err(text.error(&["episodes"], message).with_hint("give each its own `id`"));
+            return Err(text.error(asked.at(), message).with_hint("give each its own `id`"));
         }
         let name = [&asked.listed.name, &asked.listed.episode_id]
             .into_iter()
             .find(|name| !name.is_empty());
         let mut id = safe_name(name.map_or("episode", String::as_str));
-        if taken.contains_key(&id.to_lowercase()) {
+        if taken.contains(&id.to_lowercase()) {
             // Of the folder only its name, so that moving the data does not rename clips.
             let folder = asked.root.file_name().map(|name| name.to_string_lossy().into_owned());
             let origin = format!("{}\0{}", folder.unwrap_or_default(), asked.listed.selector);
@@ -295,9 +311,9 @@ fn names(asked: &[Asked<'_>], text: &Text) -> Result<Vec<String>> {
             id.truncate(119);
             id = format!("{id}-{suffix}");
         }
-        if taken.insert(id.to_lowercase(), index).is_some() {
+        if !taken.insert(id.to_lowercase()) {
             let message = format!("the episode `{}` is named twice", asked.listed.episode_id);
-            return Err(text.error(&["episodes"], message).with_hint("give each its own `id`"));
+            return Err(text.error(asked.at(), message).with_hint("give each its own `id`"));
         }
         ids.push(id);
     }
@@ -319,12 +335,9 @@ fn predictions(plan: &Plan, id: &str, sources: &SourceCache) -> Result<Vec<Optio
     })
 }
 
-fn calibration(plan: &mut Plan, path: &Path, text: &Text, sources: &SourceCache) -> Result<u32> {
+fn calibration(plan: &mut Plan, path: &Path, at: At<'_>, text: &Text, sources: &SourceCache) -> Result<u32> {
     if !path.is_file() {
-        let error = text.error(
-            &["episodes", "calibration"],
-            format!("calibration file `{}` is not there", path.display()),
-        );
+        let error = text.error(at, format!("calibration file `{}` is not there", path.display()));
         return Err(error.with_hint("paths in a manifest are relative to the manifest's folder"));
     }
     let content = sources.source("calibration", path)?;

@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader, BufWriter, Write};
 use std::path::Path;
 
-use super::{Clip, PLAN_FORMAT, Plan};
+use super::model::{Clip, InputSource, NodeInput, PLAN_FORMAT, Plan};
 use crate::error::{Error, Result, io};
 
 /// Name of the plan in a run folder.
@@ -37,15 +37,16 @@ impl Plan {
 pub fn read_plan(run: &Path) -> Result<Plan> {
     let path = run.join(PLAN_FILE);
     let file = std::fs::File::open(&path).map_err(|error| match error.kind() {
-        std::io::ErrorKind::NotFound => {
-            Error::usage(format!("`{}` is no run folder: it has no {PLAN_FILE}", run.display()))
-                .with_hint("name the `out` folder of a manifest that has been run or planned")
-        }
+        std::io::ErrorKind::NotFound => Error::usage(format!(
+            "`{}` is not a run folder: it has no {PLAN_FILE}",
+            run.display()
+        ))
+        .with_hint("name the `out` folder of a manifest that has been run or planned"),
         _ => io("cannot read", &path)(error),
     })?;
     let damaged = |line: usize, why: &dyn std::fmt::Display| {
         Error::usage(format!("`{}` is damaged at line {line}: {why}", path.display()))
-            .with_hint("make it again: run the manifest (nothing that is done is lost)")
+            .with_hint("run the manifest to make it again (finished outputs are kept)")
     };
     let mut lines = BufReader::new(file).lines();
     let header = lines
@@ -81,14 +82,14 @@ impl Plan {
     /// Nothing in a plan file may lead out of the run folder or out of its own tables.
     fn check_nodes(&self) -> std::result::Result<(), String> {
         for (index, node) in self.nodes.iter().enumerate() {
-            if !crate::manifest::is_safe_name(&node.file) || !crate::manifest::is_safe_name(&node.stage) {
-                return Err(format!("node `{}` has an unsafe name", node.label));
+            if !crate::manifest::is_safe_name(&node.file) {
+                return Err(format!("node `{}` has an unsafe file name", node.label));
             }
             if self.upstream(index).any(|upstream| upstream >= index) {
                 return Err(format!("node `{}` reads from a node after it", node.label));
             }
-            let beyond = |input: &super::NodeInput| match input.from {
-                super::From::Prediction(index) => index as usize >= self.predictions.len(),
+            let beyond = |input: &NodeInput| match input.from {
+                InputSource::Prediction(index) => index as usize >= self.predictions.len(),
                 _ => false,
             };
             if node.inputs.iter().any(beyond) {

@@ -1,33 +1,34 @@
 //! Handing a run to Slurm: one job array per stage, one array element per shard of clips. Nothing is scheduled here.
 
+mod client;
+mod script;
+
 use std::collections::{BTreeSet, HashSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 use serde::{Deserialize, Serialize};
 
+use self::client::{array_limit, sbatch};
+pub use self::script::{SLURM_FOLDER, Script};
+use self::script::{report_script, stage_script, units_file};
 use crate::error::{Error, Result, io};
-use crate::export::{batch_command, shard_of, shell_line, stages, write_units};
+use crate::export::{shard_of, shell_line, stages, write_units};
 use crate::ledger::{StageCost, read_costs, tried};
-use crate::manifest::{Slurm, parse_size, safe_name};
-use crate::plan::{Plan, Unit};
+use crate::manifest::{Slurm, parse_size};
+use crate::plan::{Plan, WorkUnit};
 use crate::prepare::Prepared;
+use crate::stage::StageId;
 use crate::state::OutputState;
 
 /// Clips of one array element when the manifest does not say.
 const CLIPS_PER_SHARD: usize = 16;
-
-/// Slurm's own default limit of array sizes.
-const DEFAULT_ARRAY_LIMIT: u32 = 1001;
 
 /// Memory of an array element when nothing is known, bytes.
 const UNKNOWN_MEMORY: u64 = 4 << 30;
 
 /// Doublings of memory for shards that were lost without a record, at most.
 const MAX_DOUBLINGS: u32 = 3;
-
-/// Folder with scripts, unit list and job output in a run folder.
-pub const SLURM_FOLDER: &str = "slurm";
 
 /// What was, or would be, submitted.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -42,17 +43,6 @@ pub struct Submission {
     pub commands: Vec<Vec<String>>,
     /// Job ids, in the order of the scripts; empty in a dry run.
     pub ids: Vec<String>,
-}
-
-/// One job script.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Script {
-    /// Stage, or `report`.
-    pub name: String,
-    /// Where it lies.
-    pub path: PathBuf,
-    /// What is in it.
-    pub text: String,
 }
 
 /// A line of `slurm/submissions.jsonl`.
@@ -122,10 +112,6 @@ pub fn submit(prepared: &Prepared, finally: Option<&[String]>, dry_run: bool) ->
     Ok(submission)
 }
 
-fn units_file(plan: &Plan) -> PathBuf {
-    plan.run.join(SLURM_FOLDER).join("units.jsonl")
-}
-
 fn prepare(prepared: &Prepared, finally: Option<&[String]>) -> Result<Submission> {
     let (plan, slurm) = (&prepared.plan, &prepared.manifest.slurm);
     let limit = array_limit();
@@ -157,8 +143,8 @@ fn prepare(prepared: &Prepared, finally: Option<&[String]>) -> Result<Submission
     let mut scripts = Vec::new();
     let mut commands = Vec::new();
     let names = stages(plan);
-    for (index, stage) in names.iter().enumerate() {
-        let memory = memory(slurm, stage, costs.get(*stage), doublings);
+    for (index, &stage) in names.iter().enumerate() {
+        let memory = memory(slurm, stage, costs.get(stage.name()), doublings);
         let last = index + 1 == names.len();
         scripts.push(stage_script(prepared, stage, &shards, shard_count, memory, last));
         let mut command = vec!["sbatch".to_owned(), "--parsable".to_owned()];
@@ -210,7 +196,7 @@ fn doublings(plan: &Plan, open: &BTreeSet<usize>, states: &[Vec<OutputState>]) -
     let first_open = |&clip: &usize| {
         let node = (0..plan.nodes.len()).find(|&node| states[clip][node] != OutputState::UpToDate)?;
         let keys = maker.keys(clip);
-        Some((plan.output(Unit { clip, node }, &keys), keys[node].key))
+        Some((plan.output(WorkUnit { clip, node }, &keys), keys[node].key))
     };
     let wanted: HashSet<_> = open.iter().filter_map(first_open).collect();
     let lost = tried(&plan.run, &wanted)?.len() < wanted.len();
@@ -218,207 +204,10 @@ fn doublings(plan: &Plan, open: &BTreeSet<usize>, states: &[Vec<OutputState>]) -
 }
 
 /// Memory of an array element, bytes: as the manifest says, or a third more than was measured; doubled after losses.
-fn memory(slurm: &Slurm, stage: &str, cost: Option<&StageCost>, doublings: u32) -> u64 {
-    let said = slurm.memory.get(stage).and_then(|text| parse_size(text).ok());
+fn memory(slurm: &Slurm, stage: StageId, cost: Option<&StageCost>, doublings: u32) -> u64 {
+    let said = slurm.memory.get(&stage).and_then(|text| parse_size(text).ok());
     let measured = cost.map(|cost| (cost.peak_rss_bytes / 3 * 4).max(512 << 20));
     said.or(measured).unwrap_or(UNKNOWN_MEMORY) << doublings
-}
-
-/// Array elements as Slurm writes them: `0-3,7`.
-fn ranges(shards: &BTreeSet<u32>) -> String {
-    let mut runs: Vec<(u32, u32)> = Vec::new();
-    for &shard in shards {
-        match runs.last_mut() {
-            Some((_, end)) if *end + 1 == shard => *end = shard,
-            _ => runs.push((shard, shard)),
-        }
-    }
-    let text = |&(start, end): &(u32, u32)| {
-        if start == end {
-            start.to_string()
-        } else {
-            format!("{start}-{end}")
-        }
-    };
-    runs.iter().map(text).collect::<Vec<_>>().join(",")
-}
-
-fn stage_script(
-    prepared: &Prepared,
-    stage: &str,
-    shards: &BTreeSet<u32>,
-    shard_count: u32,
-    memory: u64,
-    last: bool,
-) -> Script {
-    let (plan, slurm) = (&prepared.plan, &prepared.manifest.slurm);
-    let cpus = slurm.cpus.get(stage).copied().unwrap_or(1);
-    let at_once = slurm.at_once.map(|count| format!("%{count}")).unwrap_or_default();
-    let mut options = vec![
-        format!("--array={}{at_once}", ranges(shards)),
-        format!("--cpus-per-task={cpus}"),
-        format!("--mem={}M", memory.div_ceil(1 << 20)),
-        // The worker gets time to give up its clip before the end of the wall time.
-        "--signal=B:TERM@60".to_owned(),
-    ];
-    options.extend(slurm.gres.get(stage).map(|gres| format!("--gres={gres}")));
-    let mut words = batch_command(
-        &prepared.options.programs,
-        stage,
-        &units_file(plan),
-        "auto",
-        shard_count,
-    );
-    words.extend([
-        "--threads".to_owned(),
-        cpus.to_string(),
-        "--grace".to_owned(),
-        "25".to_owned(),
-    ]);
-    if !last {
-        // A clip that failed must not keep the others of its shard from the next stage.
-        words.push("--keep-going".to_owned());
-    }
-    script(prepared, stage, options, &words)
-}
-
-fn report_script(prepared: &Prepared, words: &[String]) -> Script {
-    script(
-        prepared,
-        "report",
-        vec!["--cpus-per-task=1".to_owned(), "--mem=4096M".to_owned()],
-        words,
-    )
-}
-
-fn script(prepared: &Prepared, name: &str, mut options: Vec<String>, words: &[String]) -> Script {
-    let (plan, slurm) = (&prepared.plan, &prepared.manifest.slurm);
-    let folder = plan.run.join(SLURM_FOLDER);
-    options.insert(0, format!("--job-name=rogs-{}-{name}", safe_name(&plan.name)));
-    options.push(format!("--output={}", folder.join("logs/%x_%A_%a.out").display()));
-    options.push("--open-mode=append".to_owned());
-    options.extend(
-        slurm
-            .partition
-            .as_ref()
-            .map(|partition| format!("--partition={partition}")),
-    );
-    options.extend(slurm.account.as_ref().map(|account| format!("--account={account}")));
-    options.extend(slurm.time.as_ref().map(|time| format!("--time={time}")));
-    options.extend(slurm.extra.iter().cloned());
-    let mut text = "#!/bin/sh\n".to_owned();
-    for option in options {
-        text.push_str(&format!("#SBATCH {option}\n"));
-    }
-    for line in &slurm.setup {
-        text.push_str(line);
-        text.push('\n');
-    }
-    // `exec`, so that the signal reaches the program and not a shell that waits for it.
-    text.push_str(&format!("exec {}\n", shell_line(words)));
-    Script {
-        name: name.to_owned(),
-        path: folder.join(format!("{name}.sbatch")),
-        text,
-    }
-}
-
-/// Waits between attempts to hand a job to a controller that is busy, milliseconds.
-const PATIENCE_MS: [u64; 4] = [250, 1000, 4000, 15_000];
-
-/// What clients of Slurm say when the controller is too busy or just away; the same call may work a moment later.
-const PASSING: [&str; 7] = [
-    "Socket timed out",
-    "Unable to contact slurm controller",
-    "Zero Bytes were transmitted",
-    "Resource temporarily unavailable",
-    "temporarily unable to accept job",
-    "in standby mode",
-    "Protocol authentication error",
-];
-
-/// Runs one `sbatch`, again where the trouble may pass, and returns the job's id.
-///
-/// A controller that timed out may have taken the job all the same. Then two elements meet on a unit: the second finds
-/// it up to date, or makes the same bytes.
-fn sbatch(command: &[String]) -> Result<String> {
-    let mut waits = PATIENCE_MS.iter();
-    loop {
-        match (sbatch_once(command), waits.next()) {
-            (Refusal::Passing(_), Some(&wait)) => std::thread::sleep(std::time::Duration::from_millis(wait)),
-            (Refusal::Passing(error) | Refusal::Final(error), _) => return Err(error),
-            (Refusal::None(id), _) => return Ok(id),
-        }
-    }
-}
-
-/// How a call of `sbatch` ended.
-enum Refusal {
-    /// Not refused: the job's id.
-    None(String),
-    Passing(Error),
-    Final(Error),
-}
-
-fn sbatch_once(command: &[String]) -> Refusal {
-    let error = |message: String| Error::Program {
-        program: "sbatch".to_owned(),
-        message,
-        hint: None,
-    };
-    let [program, arguments @ ..] = command else {
-        return Refusal::Final(error("empty command".to_owned()));
-    };
-    let output = match Command::new(program).args(arguments).stdin(Stdio::null()).output() {
-        Ok(output) => output,
-        Err(why) => {
-            let error = error(format!("cannot be started: {why}"));
-            let hint = "run this where Slurm is installed, or use `rogs plan --emit jsonl` with another engine";
-            return Refusal::Final(error.with_hint(hint));
-        }
-    };
-    if !output.status.success() {
-        let said = String::from_utf8_lossy(&output.stderr).trim().to_owned();
-        let error = error(format!("refused ({}): {said}", output.status));
-        // One that says nothing was killed, or lost its connection before it could.
-        let passing = said.is_empty() || PASSING.iter().any(|what| said.contains(what));
-        return if passing {
-            let hint = "is the controller well (`scontrol ping`)? The same command goes on";
-            Refusal::Passing(error.with_hint(hint))
-        } else {
-            Refusal::Final(error)
-        };
-    }
-    // `ID` or `ID;CLUSTER`
-    let answer = String::from_utf8_lossy(&output.stdout).into_owned();
-    let id = answer.trim().split(';').next().unwrap_or_default().to_owned();
-    if id.is_empty() || !id.bytes().all(|byte| byte.is_ascii_digit()) {
-        return Refusal::Final(error(format!("answered no job id: `{}`", answer.trim())));
-    }
-    Refusal::None(id)
-}
-
-/// Largest array that this Slurm takes; its usual limit where Slurm does not answer.
-fn array_limit() -> u32 {
-    let output = Command::new("scontrol")
-        .args(["show", "config"])
-        .stdin(Stdio::null())
-        .stderr(Stdio::null())
-        .output();
-    let text = output
-        .map(|output| String::from_utf8_lossy(&output.stdout).into_owned())
-        .unwrap_or_default();
-    let limit = text.lines().find_map(|line| {
-        line.trim()
-            .strip_prefix("MaxArraySize")?
-            .split('=')
-            .nth(1)?
-            .trim()
-            .parse()
-            .ok()
-    });
-    // Indices must lie below it.
-    limit.unwrap_or(DEFAULT_ARRAY_LIMIT).saturating_sub(1).max(1)
 }
 
 fn append_line(path: &Path, value: &impl Serialize) -> Result<()> {
@@ -451,11 +240,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sparse_arrays_are_written_as_ranges() {
-        assert_eq!(ranges(&BTreeSet::from([0, 1, 2, 5, 7, 8])), "0-2,5,7-8");
-    }
-
-    #[test]
     fn memory_grows_by_doubling_after_losses() {
         let cost = StageCost {
             count: 1,
@@ -464,8 +248,8 @@ mod tests {
             peak_rss_bytes: 3 << 30,
         };
         let slurm = Slurm::default();
-        assert_eq!(memory(&slurm, "lift", Some(&cost), 0), 4 << 30);
-        assert_eq!(memory(&slurm, "lift", Some(&cost), 2), 16 << 30);
-        assert_eq!(memory(&slurm, "lift", None, 0), UNKNOWN_MEMORY);
+        assert_eq!(memory(&slurm, StageId::Lift, Some(&cost), 0), 4 << 30);
+        assert_eq!(memory(&slurm, StageId::Lift, Some(&cost), 2), 16 << 30);
+        assert_eq!(memory(&slurm, StageId::Lift, None, 0), UNKNOWN_MEMORY);
     }
 }

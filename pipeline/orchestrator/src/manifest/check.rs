@@ -1,0 +1,90 @@
+//! What must hold of a manifest besides its form.
+
+use std::collections::BTreeSet;
+
+use super::{Manifest, is_safe_name, parse_size};
+use crate::diagnose::{At, Text};
+use crate::error::Result;
+
+/// What a name may consist of, for messages.
+const CHARACTERS: &str = "use 1 to 128 letters, digits and . _ + -";
+
+impl Manifest {
+    /// Checks the values.
+    ///
+    /// # Errors
+    /// When one is wrong; at its place in the text.
+    pub(super) fn check(&self, text: &Text) -> Result<()> {
+        if self.input.is_none() && self.episodes.is_empty() {
+            let error = text.error(At::top(), "the manifest names no episodes");
+            return Err(error.with_hint("add [[episodes]] with root = \"FOLDER\", or [input] with root = \"FOLDER\""));
+        }
+        let setting = self.run.setting.as_deref();
+        if setting.is_some_and(|setting| !["recorded", "rollout"].contains(&setting)) {
+            let at = At::key("run").then("setting");
+            return Err(text.error(at, "`setting` must be `recorded` or `rollout`"));
+        }
+        let known = ["panda-robotiq-2f85"];
+        if let Some(preset) = self.robot.preset.as_deref().filter(|preset| !known.contains(preset)) {
+            let at = At::key("robot").then("preset");
+            let error = text.error(at, format!("unknown robot preset `{preset}`"));
+            return Err(error.with_hint(format!("known: {}; describe others in [robot.spec]", known.join(", "))));
+        }
+        self.robot_spec()
+            .map_err(|why| text.unknown(At::key("robot").then("spec"), &why))?;
+        self.check_names(text)?;
+        self.check_resources(text)
+    }
+
+    /// Names of variants, predictions and clips.
+    fn check_names(&self, text: &Text) -> Result<()> {
+        let mut taken = BTreeSet::from(["main".to_owned()]);
+        for (index, variant) in self.variants.iter().enumerate() {
+            let (name, at) = (&variant.name, At::key("variants").item(index).then("name"));
+            if !is_safe_name(name) {
+                return Err(text.error(at, format!("invalid variant name `{name}`: {CHARACTERS}")));
+            }
+            if !taken.insert(name.to_lowercase()) {
+                return Err(text.error(at, format!("two variants are named `{name}`")));
+            }
+        }
+        let mut taken = BTreeSet::new();
+        for (index, prediction) in self.predictions.iter().enumerate() {
+            let (name, at) = (&prediction.name, At::key("predictions").item(index).then("name"));
+            if !is_safe_name(name) {
+                return Err(text.error(at, format!("invalid predictions name `{name}`: {CHARACTERS}")));
+            }
+            if !taken.insert(name.to_lowercase()) {
+                return Err(text.error(at, format!("two predictions are named `{name}`")));
+            }
+        }
+        for (index, episode) in self.episodes.iter().enumerate() {
+            if let Some(id) = episode.id.as_deref().filter(|id| !is_safe_name(id)) {
+                let at = At::key("episodes").item(index).then("id");
+                return Err(text.error(at, format!("invalid clip name `{id}`: {CHARACTERS}")));
+            }
+        }
+        Ok(())
+    }
+
+    /// Sizes and counts of the machine and of Slurm.
+    fn check_resources(&self, text: &Text) -> Result<()> {
+        let (executor, own) = (&self.executor, At::key("executor"));
+        let all = executor.memory.iter().map(|size| (own.clone().then("memory"), size));
+        let by_stage = executor.stage_memory.iter().map(|(stage, size)| {
+            let at = own.clone().then("stage-memory").then(stage.name());
+            (at, size)
+        });
+        let slurm = self.slurm.memory.iter().map(|(stage, size)| {
+            let at = At::key("slurm").then("memory").then(stage.name());
+            (at, size)
+        });
+        for (at, size) in all.chain(by_stage).chain(slurm) {
+            parse_size(size).map_err(|why| text.error(at, why))?;
+        }
+        if executor.workers == Some(0) || executor.threads == Some(0) {
+            return Err(text.error(own, "workers and threads must be at least 1"));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,210 @@
+//! What a plan consists of.
+
+use std::path::{Path, PathBuf};
+
+use rogs_schemas::ContentHash;
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+
+use crate::stage::StageId;
+
+/// Value of [`Plan::format`].
+pub const PLAN_FORMAT: &str = "rogs-plan 1";
+
+/// A frozen plan.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Plan {
+    /// Always [`PLAN_FORMAT`].
+    pub format: String,
+    /// Name of the run.
+    pub name: String,
+    /// The run folder. Not part of the file: whoever reads it knows where it lies.
+    #[serde(skip)]
+    pub run: PathBuf,
+    /// The manifest it was made from.
+    pub manifest: PathBuf,
+    /// `recorded` or `rollout`.
+    pub setting: String,
+    /// Names of the variants; the first is `main`.
+    pub variants: Vec<String>,
+    /// What is done for every clip, in an order in which inputs come first.
+    pub nodes: Vec<Node>,
+    /// Folders that episodes lie in.
+    pub roots: Vec<PathBuf>,
+    /// Calibration files with their content.
+    pub calibrations: Vec<Source>,
+    /// Folders with the predictions of outside methods, in the order of the manifest.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub predictions: Vec<PathBuf>,
+    /// Folder with the latents of the clips.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub latents: Option<PathBuf>,
+    /// The clips, in the order of the manifest. One line each in the file.
+    #[serde(skip)]
+    pub clips: Vec<Clip>,
+}
+
+/// One stage as it is done for every clip: a column of the plan.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Node {
+    /// Name in messages: `lift`, `score-2`, `lift@VARIANT`.
+    pub label: String,
+    /// The stage.
+    pub stage: StageId,
+    /// Version of the stage.
+    pub stage_version: u32,
+    /// Schema of the output.
+    pub schema: String,
+    /// Parameters, normalised by the stage.
+    pub params: Value,
+    /// Name of the output file.
+    pub file: String,
+    /// True when the output lies in a folder named by its key: it is not of the main run.
+    pub by_key: bool,
+    /// Inputs by role.
+    pub inputs: Vec<NodeInput>,
+    /// Variants that use it, as indices into [`Plan::variants`].
+    pub variants: Vec<usize>,
+}
+
+/// One input of a node.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NodeInput {
+    /// Role.
+    pub role: String,
+    /// Where it comes from.
+    pub from: InputSource,
+}
+
+/// Where an input comes from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum InputSource {
+    /// The clip's episode.
+    Episode,
+    /// The clip's calibration file, where it has one.
+    Calibration,
+    /// The clip's folder in one of [`Plan::predictions`], where it has one.
+    Prediction(u32),
+    /// The clip's file in [`Plan::latents`], where it has one.
+    Latents,
+    /// The output of another node, an index into [`Plan::nodes`].
+    Node(usize),
+    /// The same source for all clips.
+    Source(Source),
+}
+
+/// A source with its content.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Source {
+    /// Where it lies.
+    pub path: PathBuf,
+    /// What is in it.
+    pub content: ContentHash,
+}
+
+/// One clip: a row of the plan.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Clip {
+    /// Safe name, unique in the run also without regard to case.
+    pub id: String,
+    /// Id in its dataset.
+    pub episode: String,
+    /// Layout of the episode.
+    pub layout: String,
+    /// Index into [`Plan::roots`].
+    pub root: u32,
+    /// What ingest needs to pick it out of the root.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub selector: String,
+    /// Content of the episode's files.
+    pub content: ContentHash,
+    /// Index into [`Plan::calibrations`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<u32>,
+    /// Content of the clip's folder in each of [`Plan::predictions`]; empty when no method has one.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub predictions: Vec<Option<ContentHash>>,
+    /// Content of the clip's file in [`Plan::latents`], where it has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub latents: Option<ContentHash>,
+    /// Parameters of ingest for this clip, normalised, laid over the node's.
+    #[serde(default, skip_serializing_if = "Map::is_empty")]
+    pub ingest: Map<String, Value>,
+}
+
+impl Clip {
+    /// Content of the clip's folder in one of [`Plan::predictions`], where it has one.
+    #[must_use]
+    pub fn prediction(&self, index: u32) -> Option<ContentHash> {
+        self.predictions.get(index as usize).copied().flatten()
+    }
+}
+
+/// A unit of work: a clip (index) at a node (index).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct WorkUnit {
+    /// Index into [`Plan::clips`].
+    pub clip: usize,
+    /// Index into [`Plan::nodes`].
+    pub node: usize,
+}
+
+impl Plan {
+    /// Number of units.
+    #[must_use]
+    pub fn unit_count(&self) -> usize {
+        self.clips.len() * self.nodes.len()
+    }
+
+    /// Folder of a clip.
+    #[must_use]
+    pub fn clip_folder(&self, clip: usize) -> PathBuf {
+        self.run.join("clips").join(&self.clips[clip].id)
+    }
+
+    /// All files and folders of sources that the plan reads (weights, robots, calibrations), each once.
+    #[must_use]
+    pub fn source_paths(&self) -> Vec<PathBuf> {
+        let inputs = self.nodes.iter().flat_map(|node| &node.inputs);
+        let fixed = inputs.filter_map(|input| match &input.from {
+            InputSource::Source(source) => Some(source.path.clone()),
+            _ => None,
+        });
+        let mut paths: Vec<_> = fixed
+            .chain(self.calibrations.iter().map(|source| source.path.clone()))
+            .collect();
+        paths.sort();
+        paths.dedup();
+        paths
+    }
+
+    /// Nodes whose outputs a node reads.
+    pub fn upstream(&self, node: usize) -> impl Iterator<Item = usize> + '_ {
+        self.nodes[node].inputs.iter().filter_map(|input| match input.from {
+            InputSource::Node(node) => Some(node),
+            _ => None,
+        })
+    }
+
+    /// Index of a clip by its id or its episode's id.
+    ///
+    /// # Errors
+    /// When there is none; with what was probably meant.
+    pub fn find_clip(&self, name: &str) -> crate::Result<usize> {
+        let found = self.clips.iter().position(|clip| clip.id == name);
+        let found = found.or_else(|| self.clips.iter().position(|clip| clip.episode == name));
+        found.ok_or_else(|| {
+            let error = crate::Error::usage(format!("the run has no clip `{name}`"));
+            match crate::error::did_you_mean(name, self.clips.iter().map(|clip| clip.id.as_str())) {
+                Some(meant) => error.with_hint(format!("did you mean `{meant}`?")),
+                None => error.with_hint("`rogs status RUN` lists the clips"),
+            }
+        })
+    }
+}
+
+/// Where the latents of a clip lie.
+pub(super) fn latents_file(root: &Path, clip: &str) -> PathBuf {
+    root.join(format!("{clip}.safetensors"))
+}

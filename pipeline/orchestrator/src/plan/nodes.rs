@@ -1,0 +1,408 @@
+//! The nodes of a plan: stages with their parameters and where their inputs come from, for the run, its variants and
+//! outside methods.
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+
+use rogs_schemas::overlay;
+use rogs_schemas::protocol::{Description, InputDescription};
+use serde_json::{Map, Value};
+
+use super::model::{InputSource, Node, NodeInput, Source};
+use crate::diagnose::{At, Text};
+use crate::error::{Error, Result, did_you_mean};
+use crate::manifest::{Manifest, Params, Prediction, Variant};
+use crate::programs::StagePrograms;
+use crate::sources::SourceCache;
+use crate::stage::{Filled, OUTSIDE, Output, Outside, Provider, StageId, WeightsRole};
+
+/// Makes the nodes of the run, of its variants, and of outside methods. What variants have in common is one node.
+///
+/// # Errors
+/// When the manifest does not fit the stages or a source is missing; with line and column.
+pub(super) fn make_nodes(
+    manifest: &Manifest,
+    text: &Text,
+    programs: &StagePrograms,
+    sources: &SourceCache,
+) -> Result<Vec<Node>> {
+    let mut builder = Builder {
+        manifest,
+        text,
+        programs,
+        sources,
+        wanted: StageId::with_producers(&manifest.run.stages),
+        described: HashMap::new(),
+        nodes: Vec::new(),
+    };
+    builder.check_names()?;
+    let main = builder.add_variant(Column::Main)?;
+    for (index, variant) in manifest.variants.iter().enumerate() {
+        builder.add_variant(Column::Variant(index, variant))?;
+    }
+    for (index, method) in manifest.predictions.iter().enumerate() {
+        builder.add_outside(index, method, &main)?;
+    }
+    Ok(builder.nodes)
+}
+
+/// Which node makes the output of a stage, while the nodes of a variant are made.
+type Made = BTreeMap<StageId, usize>;
+
+/// What a node is made for.
+#[derive(Clone, Copy)]
+enum Column<'a> {
+    /// The run itself.
+    Main,
+    /// One of `[[variants]]`, by its index.
+    Variant(usize, &'a Variant),
+    /// One of `[[predictions]]`, by its index.
+    Outside(usize, &'a Prediction),
+}
+
+impl<'a> Column<'a> {
+    /// Where the manifest says something about it and a stage.
+    fn at(self, stage: StageId) -> At<'a> {
+        match self {
+            Column::Main => At::key(stage.name()),
+            Column::Variant(index, _) => At::key("variants").item(index).then(stage.name()),
+            Column::Outside(index, _) => At::key("predictions").item(index).then(stage.name()),
+        }
+    }
+
+    /// Its name in labels; the run has none.
+    fn name(self) -> Option<&'a str> {
+        match self {
+            Column::Main => None,
+            Column::Variant(_, variant) => Some(&variant.name),
+            Column::Outside(_, method) => Some(&method.name),
+        }
+    }
+
+    /// Name of its rows in the tables; `+` stands for `/` in names of the manifest, as in `stage1+2/no-mesh/no-fk`.
+    fn rows(self, output: &Output) -> String {
+        match self.name().map(|name| name.replace('+', "/")) {
+            None => output.method.to_owned(),
+            Some(name) if output.method.is_empty() => name,
+            Some(name) => format!("{}/{name}", output.method),
+        }
+    }
+}
+
+struct Builder<'a> {
+    manifest: &'a Manifest,
+    text: &'a Text,
+    programs: &'a StagePrograms,
+    sources: &'a SourceCache,
+    /// Stages to run, with those they need.
+    wanted: Vec<StageId>,
+    described: HashMap<(StageId, String), Description>,
+    nodes: Vec<Node>,
+}
+
+impl<'a> Builder<'a> {
+    fn describe(&mut self, stage: StageId, params: &Value) -> Result<Description> {
+        let key = (stage, params.to_string());
+        if let Some(description) = self.described.get(&key) {
+            return Ok(description.clone());
+        }
+        let description = self.programs.describe(stage, params)?;
+        Ok(self.described.entry(key).or_insert(description).clone())
+    }
+
+    /// Parameters of a stage as they are when nobody sets any.
+    fn defaults(&mut self, stage: StageId) -> Result<Value> {
+        Ok(self.describe(stage, &Value::Object(Map::new()))?.default_params)
+    }
+
+    /// Names in the stages' tables that the stages do not know.
+    fn check_names(&mut self) -> Result<()> {
+        let manifest = self.manifest;
+        for stage in self.wanted.clone() {
+            let defaults = self.defaults(stage)?;
+            self.check_table(At::key(stage.name()), manifest.params(stage), &defaults)?;
+            for (index, variant) in manifest.variants.iter().enumerate() {
+                let at = Column::Variant(index, variant).at(stage);
+                self.check_table(at, variant.params(stage), &defaults)?;
+            }
+            if stage == StageId::Ingest {
+                if let Some(input) = &manifest.input {
+                    self.check_table(At::key("input").then(stage.name()), &input.ingest, &defaults)?;
+                }
+                for (index, episode) in manifest.episodes.iter().enumerate() {
+                    let at = At::key("episodes").item(index).then(stage.name());
+                    self.check_table(at, &episode.ingest, &defaults)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn check_table(&self, at: At<'_>, given: &Params, defaults: &Value) -> Result<()> {
+        let Value::Object(defaults) = defaults else {
+            return Ok(());
+        };
+        for (name, value) in given {
+            let here = at.clone().then(name);
+            let Some(default) = defaults.get(name) else {
+                let message = format!("unknown parameter `{name}` of `{at}`");
+                let error = self.text.error(here, message);
+                return Err(match did_you_mean(name, defaults.keys().map(String::as_str)) {
+                    Some(meant) => error.with_hint(format!("did you mean `{meant}`?")),
+                    None => {
+                        let known: Vec<&str> = defaults.keys().map(String::as_str).collect();
+                        error.with_hint(format!("known: {}", known.join(", ")))
+                    }
+                });
+            };
+            if let (Value::Object(value), Value::Object(_)) = (value, default) {
+                self.check_table(here, value, default)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds the nodes of the run or of a variant; says which node makes the output of each stage.
+    fn add_variant(&mut self, column: Column<'a>) -> Result<Made> {
+        let mut made = Made::new();
+        for stage in self.wanted.clone() {
+            for output in outputs(stage, column, &made) {
+                let mut params = Value::Object(self.manifest.params(stage).clone());
+                if let Column::Variant(_, variant) = column {
+                    overlay(&mut params, &Value::Object(variant.params(stage).clone()));
+                }
+                let node = self.node(stage, output, column, params, &made)?;
+                let node = self.add(node);
+                made.insert(stage, node);
+            }
+        }
+        Ok(made)
+    }
+
+    /// Adds the node that scores an outside method.
+    fn add_outside(&mut self, index: usize, method: &'a Prediction, main: &Made) -> Result<()> {
+        if !method.root.is_dir() {
+            let message = format!("`{}` is not a folder", method.root.display());
+            let error = self
+                .text
+                .error(At::key("predictions").item(index).then("root"), message);
+            return Err(error.with_hint("it holds one folder a clip, named by the clip's id (`rogs status RUN`)"));
+        }
+        let Outside { stage, output, options } = &OUTSIDE;
+        let (stage, column) = (*stage, Column::Outside(index, method));
+        let defaults = self.defaults(stage)?;
+        self.check_table(column.at(stage), &method.score, &defaults)?;
+        let mut params = Value::Object(self.manifest.params(stage).clone());
+        overlay(&mut params, &Value::Object(method.score.clone()));
+        overlay(&mut params, &serde_json::json!({ *options: method.options() }));
+        let node = self.node(stage, output, column, params, main)?;
+        self.nodes.push(node);
+        Ok(())
+    }
+
+    /// Adds a node, or finds the one that does the same already.
+    fn add(&mut self, node: Node) -> usize {
+        let same = |other: &Node| {
+            other.stage == node.stage
+                && other.file == node.file
+                && other.params == node.params
+                && other.inputs == node.inputs
+        };
+        if let Some(index) = self.nodes.iter().position(same) {
+            let variants = &mut self.nodes[index].variants;
+            for variant in node.variants {
+                if !variants.contains(&variant) {
+                    variants.push(variant);
+                }
+            }
+            return index;
+        }
+        self.nodes.push(node);
+        self.nodes.len() - 1
+    }
+
+    /// The node that makes an output of a stage; `made` are the nodes that it may read from.
+    fn node(
+        &mut self,
+        stage: StageId,
+        output: &Output,
+        column: Column<'a>,
+        mut params: Value,
+        made: &Made,
+    ) -> Result<Node> {
+        let defaults = self.defaults(stage)?;
+        self.fill_in(stage, &mut params, &defaults, &column.rows(output));
+        let description = self
+            .describe(stage, &params)
+            .map_err(|error| self.placed(error, column, stage))?;
+        let mut inputs = Vec::new();
+        for input in &description.inputs {
+            if let Some(from) = self.input(stage, output, column, input, &description.default_params, made)? {
+                inputs.push(NodeInput {
+                    role: input.role.clone(),
+                    from,
+                });
+            }
+        }
+        let label = output.label;
+        Ok(Node {
+            label: column.name().map_or(label.to_owned(), |name| format!("{label}@{name}")),
+            stage,
+            stage_version: description.stage_version,
+            schema: description.output_schema,
+            params: description.default_params,
+            file: output.file.to_owned(),
+            by_key: column.name().is_some(),
+            inputs,
+            variants: vec![match column {
+                Column::Variant(index, _) => index + 1,
+                Column::Main | Column::Outside(..) => 0,
+            }],
+        })
+    }
+
+    /// What a stage says of its parameters, at the place in the manifest that they come from.
+    fn placed(&self, error: Error, column: Column<'_>, stage: StageId) -> Error {
+        let Error::Usage { message, hint } = error else {
+            return error;
+        };
+        let message = match column {
+            Column::Outside(_, method) => format!("`{}`: {message}", method.name),
+            Column::Main | Column::Variant(..) => message,
+        };
+        let error = self.text.error(column.at(stage), message);
+        match hint {
+            Some(hint) => error.with_hint(hint),
+            None => error,
+        }
+    }
+
+    /// Parameters that the manifest says in other places than the stage's own table.
+    fn fill_in(&self, stage: StageId, params: &mut Value, defaults: &Value, rows: &str) {
+        let (Value::Object(params), Value::Object(defaults)) = (params, defaults) else {
+            return;
+        };
+        for &(name, filled) in stage.spec().filled {
+            if !defaults.contains_key(name) || params.contains_key(name) {
+                continue;
+            }
+            let value = match filled {
+                Filled::RobotSpec => (self.manifest.robot_spec().ok()).and_then(|spec| serde_json::to_value(spec).ok()),
+                Filled::Method => Some(Value::String(rows.to_owned())),
+                Filled::Setting => self.manifest.run.setting.clone().map(Value::String),
+            };
+            if let Some(value) = value {
+                params.insert(name.to_owned(), value);
+            }
+        }
+    }
+
+    /// Where an input of a node comes from; `None` for one that it does not read.
+    fn input(
+        &self,
+        stage: StageId,
+        output: &Output,
+        column: Column<'_>,
+        input: &InputDescription,
+        params: &Value,
+        made: &Made,
+    ) -> Result<Option<InputSource>> {
+        let role = input.role.as_str();
+        let known = stage
+            .spec()
+            .inputs
+            .iter()
+            .find(|known| known.role == role && output.reads(role));
+        let when = known.and_then(|known| known.when.as_ref());
+        if when.is_some_and(|when| params.get(when.param).and_then(Value::as_str) != Some(when.is)) {
+            return Ok(None);
+        }
+        let from = match known.map(|known| known.provider) {
+            None | Some(Provider::Hand) => None,
+            Some(Provider::Episode) => Some(InputSource::Episode),
+            Some(Provider::Calibration) => Some(InputSource::Calibration),
+            Some(Provider::Robot) => {
+                let urdf = &self.manifest.robot.urdf;
+                Some(self.source(role, urdf, At::key("robot").then("urdf"))?)
+            }
+            Some(Provider::Latents) => self.latents()?,
+            Some(Provider::Predictions) => match column {
+                Column::Outside(index, _) => Some(InputSource::Prediction(index as u32)),
+                Column::Main | Column::Variant(..) => None,
+            },
+            Some(Provider::Weights(of)) => self.weights(role, of, column)?,
+            Some(Provider::Stage(producer)) => made.get(&producer).map(|&node| InputSource::Node(node)),
+        };
+        if from.is_some() {
+            return Ok(from);
+        }
+        if let Some(when) = when {
+            let message = format!("`{} = \"{}\"` needs {}", when.param, when.is, when.needs);
+            return Err(self.text.error(column.at(stage), message).with_hint(when.hint));
+        }
+        if input.required {
+            let message = match column {
+                Column::Outside(..) => format!("predictions need the stage that makes `{role}`"),
+                Column::Main | Column::Variant(..) => {
+                    format!("nothing provides the input `{role}` of stage `{stage}`")
+                }
+            };
+            let hint = match known.map(|known| known.provider) {
+                Some(Provider::Stage(producer)) => format!("add `{producer}` to `stages` in [run]"),
+                _ => "do the stage programs belong to this program?".to_owned(),
+            };
+            return Err(self.text.error(column.at(stage), message).with_hint(hint));
+        }
+        Ok(None)
+    }
+
+    /// A file of `[weights]`: the variant's own, else the run's.
+    fn weights(&self, role: &str, of: WeightsRole, column: Column<'_>) -> Result<Option<InputSource>> {
+        let table = At::key("weights");
+        let (path, table) = match column {
+            Column::Variant(index, variant) if variant.weights.get(of).is_some() => {
+                (variant.weights.get(of), At::key("variants").item(index).then("weights"))
+            }
+            _ => (self.manifest.weights.get(of), table),
+        };
+        path.map(|path| self.source(role, path, table.then(of.key())))
+            .transpose()
+    }
+
+    /// The clips' latents, where the manifest names a folder of them.
+    fn latents(&self) -> Result<Option<InputSource>> {
+        let Some(latents) = &self.manifest.latents else {
+            return Ok(None);
+        };
+        if !latents.root.is_dir() {
+            let message = format!("`{}` is not a folder", latents.root.display());
+            let error = self.text.error(At::key("latents").then("root"), message);
+            return Err(error.with_hint("it holds CLIP.safetensors for every clip, named by the clip's id"));
+        }
+        Ok(Some(InputSource::Latents))
+    }
+
+    fn source(&self, role: &str, path: &Path, at: At<'_>) -> Result<InputSource> {
+        if !path.exists() {
+            let error = self.text.error(at, format!("`{}` is not there", path.display()));
+            return Err(error.with_hint("paths in a manifest are relative to the manifest's folder"));
+        }
+        Ok(InputSource::Source(Source {
+            path: path.to_owned(),
+            content: self.sources.source(role, path)?,
+        }))
+    }
+}
+
+/// The outputs that a stage makes in the run or a variant: those that read from stages of the run alone. Of several, one
+/// that a parameter of the variant speaks against is left out.
+fn outputs(stage: StageId, column: Column<'_>, made: &Made) -> Vec<&'static Output> {
+    let spec = stage.spec();
+    let possible = |output: &&Output| spec.producers(output).all(|producer| made.contains_key(&producer));
+    let mut outputs: Vec<&Output> = spec.outputs.iter().filter(possible).collect();
+    if let (Column::Variant(_, variant), 2..) = (column, outputs.len()) {
+        let given = variant.params(stage);
+        outputs.retain(|output| !output.unless.is_some_and(|name| given.contains_key(name)));
+    }
+    outputs
+}

@@ -1,0 +1,142 @@
+//! Job scripts.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use crate::export::{batch_command, shell_line};
+use crate::manifest::safe_name;
+use crate::plan::Plan;
+use crate::prepare::Prepared;
+use crate::stage::StageId;
+
+/// Folder with scripts, unit list and job output in a run folder.
+pub const SLURM_FOLDER: &str = "slurm";
+
+/// The units of a plan, for the job arrays.
+pub(super) fn units_file(plan: &Plan) -> PathBuf {
+    plan.run.join(SLURM_FOLDER).join("units.jsonl")
+}
+
+/// One job script.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Script {
+    /// Stage, or `report`.
+    pub name: String,
+    /// Where it lies.
+    pub path: PathBuf,
+    /// What is in it.
+    pub text: String,
+}
+
+/// Array elements as Slurm writes them: `0-3,7`.
+fn ranges(shards: &BTreeSet<u32>) -> String {
+    let mut runs: Vec<(u32, u32)> = Vec::new();
+    for &shard in shards {
+        match runs.last_mut() {
+            Some((_, end)) if *end + 1 == shard => *end = shard,
+            _ => runs.push((shard, shard)),
+        }
+    }
+    let text = |&(start, end): &(u32, u32)| {
+        if start == end {
+            start.to_string()
+        } else {
+            format!("{start}-{end}")
+        }
+    };
+    runs.iter().map(text).collect::<Vec<_>>().join(",")
+}
+
+/// The script of the job array of a stage.
+pub(super) fn stage_script(
+    prepared: &Prepared,
+    stage: StageId,
+    shards: &BTreeSet<u32>,
+    shard_count: u32,
+    memory: u64,
+    last: bool,
+) -> Script {
+    let (plan, slurm) = (&prepared.plan, &prepared.manifest.slurm);
+    let cpus = slurm.cpus.get(&stage).copied().unwrap_or(1);
+    let at_once = slurm.at_once.map(|count| format!("%{count}")).unwrap_or_default();
+    let mut options = vec![
+        format!("--array={}{at_once}", ranges(shards)),
+        format!("--cpus-per-task={cpus}"),
+        format!("--mem={}M", memory.div_ceil(1 << 20)),
+        // The worker gets time to give up its clip before the end of the wall time.
+        "--signal=B:TERM@60".to_owned(),
+    ];
+    options.extend(slurm.gres.get(&stage).map(|gres| format!("--gres={gres}")));
+    let mut words = batch_command(
+        &prepared.options.programs,
+        stage,
+        &units_file(plan),
+        "auto",
+        shard_count,
+    );
+    words.extend([
+        "--threads".to_owned(),
+        cpus.to_string(),
+        "--grace".to_owned(),
+        "25".to_owned(),
+    ]);
+    if !last {
+        // A clip that failed must not keep the others of its shard from the next stage.
+        words.push("--keep-going".to_owned());
+    }
+    script(prepared, stage.name(), options, &words)
+}
+
+/// The script of the job at the end.
+pub(super) fn report_script(prepared: &Prepared, words: &[String]) -> Script {
+    script(
+        prepared,
+        "report",
+        vec!["--cpus-per-task=1".to_owned(), "--mem=4096M".to_owned()],
+        words,
+    )
+}
+
+fn script(prepared: &Prepared, name: &str, mut options: Vec<String>, words: &[String]) -> Script {
+    let (plan, slurm) = (&prepared.plan, &prepared.manifest.slurm);
+    let folder = plan.run.join(SLURM_FOLDER);
+    options.insert(0, format!("--job-name=rogs-{}-{name}", safe_name(&plan.name)));
+    options.push(format!("--output={}", folder.join("logs/%x_%A_%a.out").display()));
+    options.push("--open-mode=append".to_owned());
+    options.extend(
+        slurm
+            .partition
+            .as_ref()
+            .map(|partition| format!("--partition={partition}")),
+    );
+    options.extend(slurm.account.as_ref().map(|account| format!("--account={account}")));
+    options.extend(slurm.time.as_ref().map(|time| format!("--time={time}")));
+    options.extend(slurm.extra.iter().cloned());
+    let mut text = "#!/bin/sh\n".to_owned();
+    for option in options {
+        text.push_str(&format!("#SBATCH {option}\n"));
+    }
+    for line in &slurm.setup {
+        text.push_str(line);
+        text.push('\n');
+    }
+    // `exec`, so that the signal reaches the program and not a shell that waits for it.
+    text.push_str(&format!("exec {}\n", shell_line(words)));
+    Script {
+        name: name.to_owned(),
+        path: folder.join(format!("{name}.sbatch")),
+        text,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sparse_arrays_are_written_as_ranges() {
+        assert_eq!(ranges(&BTreeSet::from([0, 1, 2, 5, 7, 8])), "0-2,5,7-8");
+    }
+}

@@ -1,0 +1,440 @@
+//! The pipeline as data: which stages there are, what each reads and who provides it, which files it makes, and which of
+//! its parameters the manifest gives elsewhere.
+//!
+//! This table is all that the orchestrator knows of stages besides what their programs say of themselves
+//! ([`Description`](rogs_schemas::protocol::Description)). Adding a stage is one entry here; the compiler then asks for its
+//! table in the manifest (`manifest.rs`) and for its program (`rogs/src/stages.rs`).
+
+use std::borrow::Cow;
+use std::collections::BTreeSet;
+use std::fmt;
+use std::str::FromStr;
+
+use rogs_schemas::source::ROBOT_MODEL;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// What the orchestrator knows of a stage.
+#[derive(Debug)]
+pub struct StageSpec {
+    /// Its inputs. Other inputs that the program describes are provided by no run.
+    pub inputs: &'static [Input],
+    /// What it makes of a clip: the first output in every run, others where the stages that they read from run too.
+    pub outputs: &'static [Output],
+    /// Parameters that the manifest gives in other tables than the stage's own, by name.
+    pub filled: &'static [(&'static str, Filled)],
+    /// For the stage whose parameters may differ between clips: the one that picks a clip out of its folder.
+    pub selector: Option<&'static str>,
+}
+
+/// An input of a stage.
+#[derive(Debug)]
+pub struct Input {
+    /// Role, as the program describes it.
+    pub role: &'static str,
+    /// Who provides it.
+    pub provider: Provider,
+    /// Where it is not always read: when it is, and needed.
+    pub when: Option<When>,
+}
+
+/// When an input is read, and needed.
+#[derive(Debug)]
+pub struct When {
+    /// The parameter of the stage that decides.
+    pub param: &'static str,
+    /// Its value.
+    pub is: &'static str,
+    /// What is needed, as a message names it.
+    pub needs: &'static str,
+    /// How to provide it.
+    pub hint: &'static str,
+}
+
+/// Who provides an input.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Provider {
+    /// The clip's episode.
+    Episode,
+    /// The clip's calibration file, where it has one.
+    Calibration,
+    /// The robot's URDF: `[robot] urdf`.
+    Robot,
+    /// The clip's file in the folder of `[latents]`.
+    Latents,
+    /// The clip's folder in one of `[[predictions]]`.
+    Predictions,
+    /// A file that `[weights]` names.
+    Weights(WeightsRole),
+    /// The output of another stage.
+    Stage(StageId),
+    /// Nobody in a run: for a person who runs the stage by hand.
+    Hand,
+}
+
+/// The files that `[weights]` names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WeightsRole {
+    /// `lift`: the Stage-1 checkpoint.
+    Lift,
+    /// `refine`: the Stage-2 checkpoint.
+    Refine,
+    /// `lpips`: the network of the metric.
+    Lpips,
+    /// `adapter`: the latent adapter.
+    Adapter,
+}
+
+/// One output of a stage for every clip.
+#[derive(Debug)]
+pub struct Output {
+    /// Name in messages, without a variant.
+    pub label: &'static str,
+    /// Name of the file in the clip's folder.
+    pub file: &'static str,
+    /// Name of its rows in the tables, without a variant; empty where it has none.
+    pub method: &'static str,
+    /// Roles that it does not read.
+    pub skips: &'static [&'static str],
+    /// A variant that sets this parameter of the stage makes another output instead, where there is one.
+    pub unless: Option<&'static str>,
+}
+
+/// How the files of outside methods are taken.
+#[derive(Debug)]
+pub struct Outside {
+    /// The stage that takes them, instead of what the run makes.
+    pub stage: StageId,
+    /// What it makes of them.
+    pub output: Output,
+    /// The parameter that says how the files are meant.
+    pub options: &'static str,
+}
+
+/// What the manifest gives in other tables than the stage's own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Filled {
+    /// `[robot.spec]`.
+    RobotSpec,
+    /// The name of the output's rows.
+    Method,
+    /// `[run] setting`.
+    Setting,
+}
+
+impl Input {
+    const fn of(role: &'static str, provider: Provider) -> Self {
+        Self {
+            role,
+            provider,
+            when: None,
+        }
+    }
+
+    const fn when(role: &'static str, provider: Provider, when: When) -> Self {
+        Self {
+            when: Some(when),
+            ..Self::of(role, provider)
+        }
+    }
+}
+
+impl Output {
+    const fn new(label: &'static str, file: &'static str) -> Self {
+        Self {
+            label,
+            file,
+            method: "",
+            skips: &[],
+            unless: None,
+        }
+    }
+
+    /// Whether it reads this role.
+    #[must_use]
+    pub fn reads(&self, role: &str) -> bool {
+        !self.skips.contains(&role)
+    }
+}
+
+impl StageSpec {
+    const PLAIN: Self = Self {
+        inputs: &[],
+        outputs: &[],
+        filled: &[],
+        selector: None,
+    };
+
+    /// Stages whose outputs an output of this stage reads.
+    pub fn producers<'a>(&'a self, output: &'a Output) -> impl Iterator<Item = StageId> + 'a {
+        let read = self.inputs.iter().filter(|input| output.reads(input.role));
+        read.filter_map(|input| match input.provider {
+            Provider::Stage(stage) => Some(stage),
+            _ => None,
+        })
+    }
+}
+
+impl WeightsRole {
+    /// Its name in `[weights]`.
+    #[must_use]
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Lift => "lift",
+            Self::Refine => "refine",
+            Self::Lpips => "lpips",
+            Self::Adapter => "adapter",
+        }
+    }
+}
+
+const CLIP: Input = Input::of("clip", Provider::Stage(StageId::Ingest));
+const ROBOT: Input = Input::of("robot", Provider::Stage(StageId::RobotMaps));
+const FIELD: Input = Input::of("field", Provider::Stage(StageId::Lift));
+
+/// Makes [`StageId`] and the table behind it: one entry a stage, in the order of the pipeline.
+macro_rules! stages {
+    ($($(#[$doc:meta])* $id:ident = $name:literal: $spec:expr;)*) => {
+        /// A stage; ordered as in the pipeline, so that a stage comes after all those that it reads from.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        pub enum StageId {
+            $($(#[$doc])* $id,)*
+        }
+
+        impl StageId {
+            /// Every stage, in the order of the pipeline.
+            pub const ALL: &[Self] = &[$(Self::$id),*];
+
+            /// Its name in manifests, files and messages; the program is `rogs-NAME`.
+            #[must_use]
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$id => $name,)*
+                }
+            }
+
+            /// What the orchestrator knows of it.
+            #[must_use]
+            pub fn spec(self) -> &'static StageSpec {
+                match self {
+                    $(Self::$id => {
+                        static SPEC: StageSpec = $spec;
+                        &SPEC
+                    })*
+                }
+            }
+        }
+    };
+}
+
+stages! {
+    /// An episode becomes a clip.
+    Ingest = "ingest": StageSpec {
+        inputs: &[
+            Input::of("episode", Provider::Episode),
+            Input::of("calibration", Provider::Calibration),
+        ],
+        selector: Some("episode"),
+        outputs: &[Output::new("ingest", "clip.r4c")],
+        ..StageSpec::PLAIN
+    };
+    /// Where the robot is in every image.
+    RobotMaps = "robot-maps": StageSpec {
+        inputs: &[CLIP, Input::of(ROBOT_MODEL, Provider::Robot)],
+        filled: &[("robot", Filled::RobotSpec)],
+        outputs: &[Output::new("robot-maps", "robot.r4c")],
+        ..StageSpec::PLAIN
+    };
+    /// How far forward kinematics moves every pixel of the robot.
+    Conditioning = "conditioning": StageSpec {
+        inputs: &[CLIP, ROBOT],
+        outputs: &[Output::new("conditioning", "conditioning.r4c")],
+        ..StageSpec::PLAIN
+    };
+    /// Stage 1: the field.
+    Lift = "lift": StageSpec {
+        inputs: &[
+            CLIP,
+            ROBOT,
+            Input::of("conditioning", Provider::Stage(StageId::Conditioning)),
+            Input::of("weights", Provider::Weights(WeightsRole::Lift)),
+            Input::when("latents", Provider::Latents, When {
+                param: "tokens",
+                is: "latents",
+                needs: "the clips' latents",
+                hint: "name their folder: [latents] with root = \"FOLDER\" (docs/latents-format.md)",
+            }),
+            Input::when("adapter", Provider::Weights(WeightsRole::Adapter), When {
+                param: "tokens",
+                is: "latents",
+                needs: "an adapter",
+                hint: "name it under [weights]: adapter = \"FILE\"",
+            }),
+        ],
+        outputs: &[Output::new("lift", "field-1.r4c")],
+        ..StageSpec::PLAIN
+    };
+    /// Stage 2: corrections of the field.
+    Refine = "refine": StageSpec {
+        inputs: &[
+            CLIP,
+            ROBOT,
+            FIELD,
+            Input::of("weights", Provider::Weights(WeightsRole::Refine)),
+            Input::of("resume", Provider::Hand),
+        ],
+        outputs: &[Output::new("refine", "field-2.r4c")],
+        ..StageSpec::PLAIN
+    };
+    /// Measures the field, the refined field, and outside methods.
+    Score = "score": StageSpec {
+        inputs: &[
+            CLIP,
+            ROBOT,
+            FIELD,
+            Input::of("refinement", Provider::Stage(StageId::Refine)),
+            Input::of("predictions", Provider::Predictions),
+            Input::of("lpips", Provider::Weights(WeightsRole::Lpips)),
+        ],
+        filled: &[("method", Filled::Method), ("setting", Filled::Setting)],
+        outputs: &[
+            Output {
+                method: "stage1",
+                skips: &["refinement", "predictions"],
+                // The field after some updates is a row of the refined field alone.
+                unless: Some("update"),
+                ..Output::new("score-1", "scores-1.r4c")
+            },
+            Output {
+                method: "stage1+2",
+                skips: &["predictions"],
+                ..Output::new("score-2", "scores-2.r4c")
+            },
+        ],
+        ..StageSpec::PLAIN
+    };
+}
+
+/// How the files of outside methods are scored.
+pub static OUTSIDE: Outside = Outside {
+    stage: StageId::Score,
+    output: Output {
+        skips: &["field", "refinement"],
+        ..Output::new("score", "scores-1.r4c")
+    },
+    options: "prediction",
+};
+
+impl StageId {
+    /// These stages (all where none is named) and those that they need, in the order of the pipeline.
+    #[must_use]
+    pub fn with_producers(asked: &[Self]) -> Vec<Self> {
+        let asked = if asked.is_empty() { Self::ALL } else { asked };
+        let mut wanted: BTreeSet<Self> = asked.iter().copied().collect();
+        // Producers come before their readers, so one pass from the end finds them all.
+        for &stage in Self::ALL.iter().rev() {
+            if let (true, Some(first)) = (wanted.contains(&stage), stage.spec().outputs.first()) {
+                wanted.extend(stage.spec().producers(first));
+            }
+        }
+        wanted.into_iter().collect()
+    }
+}
+
+impl fmt::Display for StageId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl FromStr for StageId {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let found = Self::ALL.iter().find(|stage| stage.name() == text);
+        found.copied().ok_or_else(|| {
+            let names: Vec<String> = Self::ALL.iter().map(|stage| format!("`{stage}`")).collect();
+            format!("unknown stage `{text}`, expected one of {}", names.join(", "))
+        })
+    }
+}
+
+impl Serialize for StageId {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name())
+    }
+}
+
+impl<'de> Deserialize<'de> for StageId {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let name = Cow::<'de, str>::deserialize(deserializer)?;
+        name.parse().map_err(serde::de::Error::custom)
+    }
+}
+
+impl JsonSchema for StageId {
+    fn inline_schema() -> bool {
+        true
+    }
+
+    fn schema_name() -> Cow<'static, str> {
+        "StageId".into()
+    }
+
+    fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
+        let names: Vec<&str> = Self::ALL.iter().map(|stage| stage.name()).collect();
+        schemars::json_schema!({ "type": "string", "enum": names })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stage_comes_after_those_that_it_reads_from() {
+        for &stage in StageId::ALL {
+            let spec = stage.spec();
+            let outside = (OUTSIDE.stage == stage).then_some(&OUTSIDE.output);
+            for output in spec.outputs.iter().chain(outside) {
+                assert!(spec.producers(output).all(|producer| producer < stage), "{stage}");
+                let known = |role: &&str| spec.inputs.iter().any(|input| input.role == *role);
+                assert!(output.skips.iter().all(known), "{stage} skips an unknown role");
+            }
+            assert!(!spec.outputs.is_empty(), "{stage} makes nothing");
+        }
+    }
+
+    #[test]
+    fn files_and_labels_are_unique_and_names_read_back() {
+        let outputs: Vec<&Output> = StageId::ALL.iter().flat_map(|stage| stage.spec().outputs).collect();
+        let files: BTreeSet<&str> = outputs.iter().map(|output| output.file).collect();
+        let labels: BTreeSet<&str> = outputs.iter().map(|output| output.label).collect();
+        assert_eq!((files.len(), labels.len()), (outputs.len(), outputs.len()));
+        for &stage in StageId::ALL {
+            assert_eq!(stage.name().parse(), Ok(stage));
+        }
+        let error = "lfit".parse::<StageId>().unwrap_err();
+        assert!(
+            error.starts_with("unknown stage `lfit`, expected one of `ingest`, "),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn what_is_asked_for_brings_what_it_needs() {
+        use StageId::{Conditioning, Ingest, Lift, Refine, RobotMaps, Score};
+        assert_eq!(StageId::with_producers(&[]), StageId::ALL);
+        assert_eq!(StageId::with_producers(&[RobotMaps]), [Ingest, RobotMaps]);
+        assert_eq!(
+            StageId::with_producers(&[Conditioning]),
+            [Ingest, RobotMaps, Conditioning]
+        );
+        let up_to_lift = [Ingest, RobotMaps, Conditioning, Lift];
+        assert_eq!(StageId::with_producers(&[Score]), [&up_to_lift[..], &[Score]].concat());
+        assert_eq!(
+            StageId::with_producers(&[Refine, Ingest]),
+            [&up_to_lift[..], &[Refine]].concat()
+        );
+    }
+}
