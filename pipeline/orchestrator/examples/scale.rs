@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 use rogs_orchestrator::executor::ProgressMode;
-use rogs_orchestrator::plan::{Plan, Unit, read_plan};
+use rogs_orchestrator::plan::{Plan, WorkUnit, read_plan};
 use rogs_orchestrator::programs::StagePrograms;
 use rogs_orchestrator::{Prepared, estimate, status};
 use rogs_schemas::Provenance;
@@ -117,7 +117,7 @@ fn fill(plan: &Plan) -> Anyhow<()> {
                     renders: vec![],
                 };
                 rogs_schemas::write_record(
-                    &plan.run.join(plan.output(Unit { clip, node }, &keys)),
+                    &plan.run.join(plan.output(WorkUnit { clip, node }, &keys)),
                     &record,
                     &provenance,
                 )?;

@@ -1,21 +1,26 @@
 //! The commands, one module each.
 
-mod care;
 mod cohort;
+mod completions;
 mod demo;
+mod diff;
 mod doctor;
-mod engines;
 mod fk;
+mod gc;
 mod inspect;
+mod logs;
+mod man;
 mod metrics;
 mod plan;
 mod query;
 mod render;
 mod run;
-mod shell;
+mod schema;
 mod status;
+mod submit;
 mod synth;
 mod table;
+mod verify;
 mod weights;
 
 use std::process::ExitCode;
@@ -36,15 +41,15 @@ enum Command {
     #[command(visible_alias = "resume")]
     Run(run::Args),
     Plan(plan::Args),
-    Submit(engines::SubmitArgs),
+    Submit(submit::Args),
     /// What is done in a run folder, what failed and why, what is left.
     Status(status::Args),
     /// Reads every output of a run folder completely and checks it against the plan.
     Verify(status::Args),
     Report(table::ReportArgs),
-    Logs(care::LogsArgs),
-    Diff(care::DiffArgs),
-    Gc(care::GcArgs),
+    Logs(logs::Args),
+    Diff(diff::Args),
+    Gc(gc::Args),
     Table(table::Args),
     Synth(synth::Args),
     Metrics(metrics::Args),
@@ -55,9 +60,9 @@ enum Command {
     Inspect(inspect::Args),
     Fk(fk::Args),
     Doctor(doctor::Args),
-    Schema(shell::SchemaArgs),
-    Completions(shell::CompletionsArgs),
-    Man(shell::ManArgs),
+    Schema(schema::Args),
+    Completions(completions::Args),
+    Man(man::Args),
 }
 
 pub(crate) fn run(command_line: CommandLine) -> anyhow::Result<ExitCode> {
@@ -69,12 +74,12 @@ pub(crate) fn run(command_line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Synth(args) => synth::run(&args),
         Command::Run(args) => run::run(&args),
         Command::Plan(args) => plan::run(&args),
-        Command::Submit(args) => engines::run_submit(&args),
-        Command::Logs(args) => care::run_logs(&args),
-        Command::Diff(args) => care::run_diff(&args),
-        Command::Gc(args) => care::run_gc(&args),
-        Command::Status(args) => status::show_status(&args),
-        Command::Verify(args) => status::show_verify(&args),
+        Command::Submit(args) => submit::run(&args),
+        Command::Logs(args) => logs::run(&args),
+        Command::Diff(args) => diff::run(&args),
+        Command::Gc(args) => gc::run(&args),
+        Command::Status(args) => status::run(&args),
+        Command::Verify(args) => verify::run(&args),
         Command::Report(args) => table::run_report(&args),
         Command::Table(args) => table::run(&args),
         Command::Query(args) => query::run(&args),
@@ -82,8 +87,8 @@ pub(crate) fn run(command_line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Inspect(args) => inspect::run(&args),
         Command::Fk(args) => fk::run(&args),
         Command::Doctor(args) => doctor::run(&args),
-        Command::Schema(args) => shell::schema(&args),
-        Command::Completions(args) => shell::completions(&args),
-        Command::Man(args) => shell::man(&args),
+        Command::Schema(args) => schema::run(&args),
+        Command::Completions(args) => completions::run(&args),
+        Command::Man(args) => man::run(&args),
     }
 }

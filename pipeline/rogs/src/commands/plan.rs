@@ -1,10 +1,12 @@
 //! `rogs plan`: what a run would do and why, without doing it.
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use rogs_orchestrator::Prepared;
 use rogs_orchestrator::estimate::estimate;
+use rogs_orchestrator::export::{export, shell_line};
 
 use super::run::Machine;
 use crate::output;
@@ -41,7 +43,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let prepared = args.machine.prepare(&args.manifest)?;
     let plan = &prepared.plan;
     if args.emit.is_some() {
-        super::engines::emit(&prepared, args.shards, args.units.as_deref(), args.json)?;
+        emit(&prepared, args.shards, args.units.as_deref(), args.json)?;
         return Ok(ExitCode::SUCCESS);
     }
     if args.explain {
@@ -90,6 +92,22 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     }
     output::text(&text)?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Writes the units of a plan to `file` and prints one command a stage and shard.
+fn emit(prepared: &Prepared, shards: u32, file: Option<&Path>, json: bool) -> anyhow::Result<()> {
+    let default = prepared.plan.run.join("units.jsonl");
+    let file = file.unwrap_or(&default);
+    if let Some(folder) = file.parent() {
+        std::fs::create_dir_all(folder)?;
+    }
+    let exported = export(&prepared.plan, &prepared.options.programs, shards.max(1), file)?;
+    if json {
+        return output::json(&exported);
+    }
+    output::note(&format!("{} units in {}", exported.units, exported.plan.display()));
+    let lines: Vec<String> = exported.commands.iter().map(|command| shell_line(command)).collect();
+    output::text(&lines.join("\n"))
 }
 
 fn gib(bytes: u64) -> f64 {

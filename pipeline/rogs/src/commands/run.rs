@@ -11,9 +11,9 @@ use serde::Serialize;
 
 use crate::output;
 
-/// Runs a manifest, or goes on with a run folder: makes every output that is missing or stale, then the report.
+/// Runs a manifest, or resumes a run folder: makes every output that is missing or stale, then the report.
 ///
-/// It may be killed at any moment; the same command goes on and ends with the same bytes.
+/// It may be killed at any moment; the same command resumes and ends with the same bytes.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The manifest (TOML), or a run folder.
@@ -98,7 +98,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     }
     if outcome.summary.exit == Exit::Stopped {
         output::note(&format!(
-            "stopped; nothing that is done is lost. Go on with: rogs run {}",
+            "stopped; finished outputs are kept. Resume with: rogs run {}",
             args.manifest.display()
         ));
     }

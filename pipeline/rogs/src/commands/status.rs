@@ -1,12 +1,10 @@
-//! `rogs status`, `rogs verify`, `rogs report`: questions to a run folder.
+//! `rogs status`, `rogs report`: questions to a run folder.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use rogs_orchestrator::Exit;
 use rogs_orchestrator::status::status;
-use rogs_orchestrator::verify::verify;
 use rogs_report::RunResults;
 
 use crate::output;
@@ -15,14 +13,14 @@ use crate::output;
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The run folder.
-    run: PathBuf,
+    pub(super) run: PathBuf,
     /// Print one JSON value.
     #[arg(long)]
-    json: bool,
+    pub(super) json: bool,
 }
 
 /// What is done, what failed and why, what is left.
-pub(crate) fn show_status(args: &Args) -> anyhow::Result<ExitCode> {
+pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let status = status(&args.run)?;
     if args.json {
         output::json(&status)?;
@@ -56,28 +54,6 @@ pub(crate) fn show_status(args: &Args) -> anyhow::Result<ExitCode> {
     }
     output::text(&text)?;
     Ok(ExitCode::from(status.exit.code()))
-}
-
-/// Reads every output completely and checks it against the plan.
-pub(crate) fn show_verify(args: &Args) -> anyhow::Result<ExitCode> {
-    let found = verify(&args.run)?;
-    if args.json {
-        output::json(&found)?;
-    } else {
-        let mut text = format!(
-            "{} outputs are good, {} missing, {} bad\n",
-            found.good,
-            found.missing,
-            found.bad.len()
-        );
-        for bad in &found.bad {
-            let _ = writeln!(text, "bad: {}: {}", bad.output.display(), bad.what);
-        }
-        output::text(&text)?;
-    }
-    Ok(ExitCode::from(
-        if found.bad.is_empty() { Exit::Done } else { Exit::Failed }.code(),
-    ))
 }
 
 /// Makes the report of a run folder anew.

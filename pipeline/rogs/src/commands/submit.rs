@@ -1,10 +1,8 @@
-//! Handing work to other engines: `rogs submit` (Slurm) and `rogs plan --emit jsonl`.
+//! `rogs submit`: handing a run to Slurm.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
-use rogs_orchestrator::Prepared;
-use rogs_orchestrator::export::{export, shell_line};
 use rogs_orchestrator::slurm::submit;
 
 use super::run::Machine;
@@ -12,7 +10,7 @@ use crate::output;
 
 /// Submits what is not up to date to Slurm: one job array a stage, elements of a shard after each other, then the report.
 #[derive(Debug, clap::Args)]
-pub(crate) struct SubmitArgs {
+pub(crate) struct Args {
     /// The manifest (TOML), or a run folder.
     manifest: PathBuf,
     #[command(flatten)]
@@ -25,7 +23,7 @@ pub(crate) struct SubmitArgs {
     json: bool,
 }
 
-pub(crate) fn run_submit(args: &SubmitArgs) -> anyhow::Result<ExitCode> {
+pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let prepared = args.machine.prepare(&args.manifest)?;
     let program = std::env::current_exe()?.display().to_string();
     let finally = [program, "report".to_owned(), prepared.plan.run.display().to_string()];
@@ -42,20 +40,4 @@ pub(crate) fn run_submit(args: &SubmitArgs) -> anyhow::Result<ExitCode> {
         ));
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// Writes the units of a plan to `file` and prints one command a stage and shard.
-pub(crate) fn emit(prepared: &Prepared, shards: u32, file: Option<&Path>, json: bool) -> anyhow::Result<()> {
-    let default = prepared.plan.run.join("units.jsonl");
-    let file = file.unwrap_or(&default);
-    if let Some(folder) = file.parent() {
-        std::fs::create_dir_all(folder)?;
-    }
-    let exported = export(&prepared.plan, &prepared.options.programs, shards.max(1), file)?;
-    if json {
-        return output::json(&exported);
-    }
-    output::note(&format!("{} units in {}", exported.units, exported.plan.display()));
-    let lines: Vec<String> = exported.commands.iter().map(|command| shell_line(command)).collect();
-    output::text(&lines.join("\n"))
 }

@@ -1,0 +1,35 @@
+//! `rogs completions`: scripts with which shells complete commands and options.
+
+use std::process::ExitCode;
+
+use anyhow::Context as _;
+use clap::CommandFactory as _;
+use clap_complete::Shell;
+
+use super::CommandLine;
+use crate::output;
+
+/// Prints the script that makes a shell complete the commands and options of `rogs`.
+///
+/// For example `rogs completions bash > ~/.local/share/bash-completion/completions/rogs`, or
+/// `rogs completions fish > ~/.config/fish/completions/rogs.fish`; for zsh a file `_rogs` in a folder of `fpath`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The shell.
+    shell: Shell,
+    /// Print one JSON value: the shell and the script.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut CommandLine::command(), "rogs", &mut script);
+    let script = String::from_utf8(script).context("the script is no text")?;
+    if args.json {
+        output::json(&serde_json::json!({ "shell": args.shell.to_string(), "script": script }))?;
+    } else {
+        output::text(&script)?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
