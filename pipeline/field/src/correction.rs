@@ -5,12 +5,14 @@ use rayon::prelude::*;
 use rogs_schemas::records::field::RAW_CHANNELS;
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, ScaleResidual};
 use rogs_schemas::units::{iu_from_m, m_from_iu};
-use rogs_splat::sh;
 
 use crate::attributes::{MIN_LINEAR_SCALE_IU, colour, opacity_logit, scale_iu};
 
 /// Bound of the accumulated position correction, metres (Euclidean norm).
 pub const POSITION_BOUND_M: f32 = 0.05;
+/// The constant spherical harmonic in what the updater sees: one unit in the last place below `rogs_splat::sh::C0`. The
+/// refiners were trained with it, and their outputs keep their bytes.
+const UPDATER_C0: f32 = 0.282_094_79;
 
 /// Residual channels that share a gate, in gate order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -163,7 +165,7 @@ impl Correction {
         out[10] = opacity_logit(raw[10]) + correction[10];
         out[11..].copy_from_slice(&correction[11..]);
         for channel in 0..3 {
-            out[11 + 16 * channel] += sh::coefficient_from_colour(colour(raw[channel]));
+            out[11 + 16 * channel] += (colour(raw[channel]) - 0.5) / UPDATER_C0;
         }
     }
 }
