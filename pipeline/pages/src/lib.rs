@@ -1,34 +1,46 @@
-//! Parts of self-contained HTML pages, for the report of a run of the pipeline and of one of training: no scripts, nothing
-//! from outside.
+//! Parts of self-contained HTML pages: the page itself, pictures that it carries, plots.
+//!
+//! The report of a run of the pipeline and the report of a training have these in common and nothing else, which is why
+//! they are a crate: training knows no orchestrator. Everything is [`Markup`]: text is escaped where it goes in.
 
-mod plots;
+mod axis;
+mod plot;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-pub use plots::{Plot, PlotPoint, Series, svg};
+pub use plot::{Plot, PlotPoint, Series};
 
-/// Escapes text for HTML content and attribute values.
+/// What a page may do: show what it carries, and nothing else. No script, nothing from outside.
+const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'";
+
+/// A whole page: `title` in the head and as the first heading, `style` as its style sheet.
 #[must_use]
-pub fn escape(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for character in text.chars() {
-        match character {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            other => out.push(other),
+pub fn page(title: &str, style: &str, body: &Markup) -> Markup {
+    html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta http-equiv="Content-Security-Policy" content=(POLICY);
+                meta name="viewport" content="width=device-width";
+                title { (title) }
+                style { (PreEscaped(style)) }
+            }
+            body {
+                h1 { (title) }
+                (body)
+            }
         }
     }
-    out
 }
 
-/// The address of a file that the page itself carries, for `src` of a picture.
+/// A picture that the page carries in itself. `media_type` is that of `bytes`, for example `image/png`.
 #[must_use]
-pub fn inlined(media_type: &str, bytes: &[u8]) -> String {
-    format!("data:{media_type};base64,{}", STANDARD.encode(bytes))
+pub fn picture(alternative: &str, media_type: &str, bytes: &[u8]) -> Markup {
+    let address = format!("data:{media_type};base64,{}", STANDARD.encode(bytes));
+    html! { img alt=(alternative) src=(address); }
 }
 
 #[cfg(test)]
@@ -37,14 +49,21 @@ mod tests {
 
     #[test]
     fn text_stays_text() {
-        assert_eq!(
-            escape(r#"<a href="x">'&'"#),
-            "&lt;a href=&quot;x&quot;&gt;&#39;&amp;&#39;"
+        let text = r#"<a href="x">'&'"#;
+        let page = page(text, "p > b { margin: 0 }", &html! { p title=(text) { (text) } }).into_string();
+        assert!(
+            !page.contains("<a ") && page.matches("&lt;a href=&quot;x&quot;&gt;'&amp;'").count() == 4,
+            "{page}"
         );
+        assert!(page.contains("<style>p > b { margin: 0 }</style>"), "{page}");
     }
 
     #[test]
-    fn a_file_is_carried_whole() {
-        assert_eq!(inlined("image/png", b"\x89PNG"), "data:image/png;base64,iVBORw==");
+    fn a_picture_is_carried_whole() {
+        let picture = picture("a \"b\"", "image/png", b"\x89PNG").into_string();
+        assert_eq!(
+            picture,
+            r#"<img alt="a &quot;b&quot;" src="data:image/png;base64,iVBORw==">"#
+        );
     }
 }

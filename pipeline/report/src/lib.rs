@@ -1,12 +1,27 @@
 //! The report of a run: its tables, plots and pictures, from the run folder to one page.
 //!
-//! [`RunResults::read`] takes plan, ledgers and scores of a run folder together; [`RunResults::table`] makes a table of the
-//! paper over its clips, [`RunResults::write`] the page `report/index.html` with all of them beside it.
+//! [`write_report`] is all that most need. [`RunResults::read`] takes plan, ledgers and scores of a run folder together, of
+//! which [`RunResults::table`] makes the tables of the paper; [`Form`] prints a table.
+//!
+//! ```no_run
+//! # fn main() -> rogs_orchestrator::Result<()> {
+//! let page = rogs_report::write_report("run".as_ref())?; // `run/report/index.html`, and `run/report/tables/`
+//! println!("{}", page.display());
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! The page needs no network and no script: pictures are inlined, and a content security policy forbids everything else.
+//! Text is escaped by type, see `maud`.
 
 mod costs;
-mod html;
+mod forms;
 mod page;
 mod pictures;
+mod plots;
 mod results;
+mod write;
 
+pub use forms::Form;
 pub use results::RunResults;
+pub use write::write_report;

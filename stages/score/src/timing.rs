@@ -4,6 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::metrics::mean;
 
+/// Bytes of a GiB, the unit of memory in tables.
+pub(crate) const GIB: f64 = 1024.0 * 1024.0 * 1024.0;
+
 /// What one clip cost one method. Absent fields were not measured or do not apply; they are never 0 for that.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]

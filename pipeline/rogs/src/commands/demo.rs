@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use rogs_report::RunResults;
-use rogs_score::tables::{Table, TableId, TableOptions, to_text};
+use rogs_report::{Form, RunResults};
+use rogs_score::tables::{Table, TableId, TableOptions};
 use serde::Serialize;
 
 use super::run::{Machine, RunOutcome, describe, execute};
@@ -68,7 +68,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
             table,
         })?;
     } else {
-        output::text(&to_text(&table))?;
+        output::text(&Form::Text.print(&table)?)?;
         output::text(&describe(&outcome))?;
     }
     Ok(ExitCode::from(code))

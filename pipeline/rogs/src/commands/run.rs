@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use rogs_orchestrator::executor::RunSummary;
 use rogs_orchestrator::programs::StagePrograms;
 use rogs_orchestrator::{Exit, Interrupts, Prepared};
-use rogs_report::RunResults;
+use rogs_report::write_report;
 use serde::Serialize;
 
 use crate::output;
@@ -109,11 +109,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
 pub(crate) fn execute(prepared: &mut Prepared, report: bool) -> anyhow::Result<RunOutcome> {
     prepared.options.interrupts = Interrupts::install()?;
     let summary = prepared.run()?;
-    let report = if report {
-        Some(RunResults::read(&summary.run)?.write()?)
-    } else {
-        None
-    };
+    let report = report.then(|| write_report(&summary.run)).transpose()?;
     Ok(RunOutcome { summary, report })
 }
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use rogs_orchestrator::status::status;
-use rogs_report::RunResults;
+use rogs_report::write_report;
 
 use crate::output;
 
@@ -58,7 +58,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
 
 /// Makes the report of a run folder anew.
 pub(crate) fn make_report(run: &Path, json: bool) -> anyhow::Result<ExitCode> {
-    let report = RunResults::read(run)?.write()?;
+    let report = write_report(run)?;
     if json {
         output::json(&serde_json::json!({ "report": report }))?;
     } else {

@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use rogs_report::RunResults;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use rogs_report::{Form, RunResults};
 use rogs_score::cohort::{CohortCounts, Selection};
-use rogs_score::tables::{TableId, TableOptions, to_csv, to_latex, to_text};
+use rogs_score::tables::{TableId, TableOptions};
 
 use crate::output;
 
@@ -15,9 +16,8 @@ use crate::output;
 pub(crate) struct Args {
     /// The run folder.
     run: PathBuf,
-    /// Which table: main, joint, robot, robot_stage1, additional, ci, frames_4dgt, scale, fk_transport, recurrence,
-    /// latent, latent_resolution, cohort, inputs, timing.
-    #[arg(long, default_value = "main", value_parser = table_id)]
+    /// Which table.
+    #[arg(long, default_value = TableId::Main.name(), value_parser = table_id())]
     table: TableId,
     #[command(flatten)]
     print: Print,
@@ -29,7 +29,7 @@ pub(crate) struct ReportArgs {
     /// The run folder.
     run: PathBuf,
     /// Print this table of the paper instead of writing the page.
-    #[arg(long, value_parser = table_id)]
+    #[arg(long, value_parser = table_id())]
     table: Option<TableId>,
     #[command(flatten)]
     print: Print,
@@ -64,10 +64,9 @@ enum Format {
     Latex,
 }
 
-fn table_id(name: &str) -> Result<TableId, String> {
-    let names: Vec<&str> = TableId::ALL.iter().map(|id| id.name()).collect();
-    let found = TableId::ALL.into_iter().find(|id| id.name() == name);
-    found.ok_or_else(|| format!("tables are {}", names.join(", ")))
+/// Reads the name of a table; the help lists them.
+fn table_id() -> impl TypedValueParser<Value = TableId> {
+    PossibleValuesParser::new(TableId::ALL.map(TableId::name)).try_map(|name| name.parse::<TableId>())
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
@@ -89,12 +88,14 @@ fn print(run: &Path, id: TableId, print: &Print) -> anyhow::Result<ExitCode> {
     };
     let counts = print.selection.as_deref().map(selection_counts).transpose()?;
     let table = RunResults::read(run)?.table(id, counts.as_ref(), options)?;
-    match if print.json { Format::Json } else { print.format } {
-        Format::Text => output::text(&to_text(&table))?,
-        Format::Csv => output::text(&to_csv(&table))?,
-        Format::Latex => output::text(&to_latex(&table))?,
-        Format::Json => output::json(&table)?,
-    }
+    let form = match print.format {
+        _ if print.json => Form::Json,
+        Format::Text => Form::Text,
+        Format::Csv => Form::Csv,
+        Format::Json => Form::Json,
+        Format::Latex => Form::Latex,
+    };
+    output::text(&form.print(&table)?)?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -102,6 +103,6 @@ fn print(run: &Path, id: TableId, print: &Print) -> anyhow::Result<ExitCode> {
 fn selection_counts(path: &Path) -> anyhow::Result<CohortCounts> {
     let text = std::fs::read(path).with_context(|| format!("reading `{}`", path.display()))?;
     let selection: Selection = serde_json::from_slice(&text)
-        .with_context(|| format!("`{}` is no selection of `rogs cohort`", path.display()))?;
+        .with_context(|| format!("`{}` is not a selection of `rogs cohort`", path.display()))?;
     Ok(selection.counts)
 }

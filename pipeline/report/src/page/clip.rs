@@ -1,0 +1,230 @@
+//! The section of one clip: what went wrong, what it is, pictures, scores, cost.
+
+use std::path::Path;
+
+use maud::{Markup, html};
+use rogs_schemas::ledger::{Attempt, Failure};
+use rogs_schemas::protocol::FailureCode;
+use rogs_schemas::records::clip::{CameraMount, Clip, ClipCamera};
+use rogs_schemas::records::robot::RobotMaps;
+use rogs_schemas::records::scores::{ScoreSheet, Scores};
+use rogs_schemas::{Record, read_record};
+use rogs_score::summary::ImageMetric::{AbsRel, Delta1, Lpips, Psnr, Rmse, Ssim};
+use rogs_score::summary::{ImageMetric, Metric, clip_value};
+
+use super::failure::failure;
+use crate::pictures::{self, Comparison, FULL_ERROR, Figure};
+use crate::results::ClipResults;
+
+/// The section of a clip, unfolded when `open`, with pictures when `with_pictures`.
+pub(super) fn section(clip: &ClipResults, open: bool, with_pictures: bool) -> Markup {
+    let warnings = || {
+        let attempts = clip.attempts.iter();
+        attempts.flat_map(|(node, attempt)| attempt.warnings.iter().map(move |warning| (node, warning)))
+    };
+    html! {
+        details open[open] {
+            summary { (clip.id) }
+            @for own in &clip.failures { (failure(&own.node, &own.failure)) }
+            @for (node, warning) in warnings() { div.warning { (node) ": " (warning) } }
+            @if with_pictures {
+                (contents(clip))
+            } @else {
+                p.note { "Pictures are made for the first clips only; `rogs inspect` shows the files of this one." }
+            }
+            (costs(&clip.attempts))
+        }
+    }
+}
+
+/// What is in the files of a clip. Those that cannot be read are named.
+fn contents(clip: &ClipResults) -> Markup {
+    let mut unreadable = Vec::new();
+    let record = read::<Clip>(clip.clip.as_deref(), "ingest", &mut unreadable);
+    let robot = read::<RobotMaps>(clip.robot.as_deref(), "robot-maps", &mut unreadable);
+    let mut scores = Vec::new();
+    for (method, path) in &clip.scores {
+        let record = read::<Scores>(Some(path), "score", &mut unreadable);
+        scores.extend(record.map(|record| (method.clone(), record)));
+    }
+    html! {
+        @for (stage, why) in &unreadable { (failure(stage, why)) }
+        @if let Some(clip) = &record {
+            (facts(clip))
+            (figures("Inputs with the outline of the robot mesh", &pictures::inputs(clip, robot.as_ref())))
+            @if let Some(robot) = &robot {
+                (figures("Mesh depth (camera z) and link ids at the source times", &pictures::robot(clip, robot)))
+            }
+            (comparison(&pictures::comparison(clip, &scores)))
+            @for (method, scores) in &scores {
+                (score_table(method, &scores.summary))
+                (figures(
+                    &format!("{method}: reference, render, error, rendered depth at query times"),
+                    &pictures::renders(clip, scores),
+                ))
+            }
+        }
+    }
+}
+
+/// A record; a note on the file when it cannot be read.
+fn read<R: Record>(
+    path: Option<&Path>,
+    stage: &'static str,
+    unreadable: &mut Vec<(&'static str, Failure)>,
+) -> Option<R> {
+    let (record, _) = read_record::<R>(path?)
+        .map_err(|error| {
+            let failure = Failure {
+                code: FailureCode::Io,
+                message: error.to_string(),
+                hint: Some("delete the file and run again".to_owned()),
+            };
+            unreadable.push((stage, failure));
+        })
+        .ok()?;
+    Some(record)
+}
+
+/// Where the clip comes from and what it holds.
+fn facts(clip: &Clip) -> Markup {
+    let cameras: Vec<String> = clip.cameras.iter().map(camera).collect();
+    let frames = |frames: &[u32]| frames.iter().map(u32::to_string).collect::<Vec<_>>().join(" ");
+    let rows = [
+        ("episode", clip.episode_id.clone()),
+        ("layout", clip.layout.clone()),
+        ("task", clip.task.clone()),
+        ("calibration", clip.calibration_note.clone()),
+        ("cameras", cameras.join(", ")),
+        ("source frames", frames(&clip.source_frames)),
+        ("query frames", frames(&clip.query_frames)),
+    ];
+    html! {
+        table.facts {
+            @for (name, value) in rows.iter().filter(|(_, value)| !value.is_empty()) {
+                tr { th { (name) } td { (value) } }
+            }
+        }
+    }
+}
+
+fn camera(camera: &ClipCamera) -> String {
+    let mount = match &camera.mount {
+        CameraMount::Fixed { .. } => "fixed".to_owned(),
+        CameraMount::Trajectory { .. } => "trajectory".to_owned(),
+        CameraMount::HandEye { link, .. } => format!("on {link}"),
+    };
+    format!("{} ({:?}, {mount})", camera.id, camera.role)
+}
+
+fn figures(title: &str, figures: &[Figure]) -> Markup {
+    html! {
+        @if !figures.is_empty() {
+            h3 { (title) }
+            @for figure in figures { figure { figcaption { (figure.caption) } (image(figure)) } }
+        }
+    }
+}
+
+fn image(figure: &Figure) -> Markup {
+    rogs_pages::picture(&figure.caption, figure.media_type, &figure.bytes)
+}
+
+/// Reference, predictions and error maps of chosen views, methods side by side.
+fn comparison(comparison: &Comparison) -> Markup {
+    html! {
+        @if !comparison.rows.is_empty() {
+            h3 { "Reference, predictions, errors" }
+            table.grid {
+                tr { th {} @for column in &comparison.columns { th { (column) } } }
+                @for (label, cells) in &comparison.rows {
+                    tr {
+                        th { (label) }
+                        @for cell in cells {
+                            td { @if let Some(figure) = cell { (image(figure)) } @else { "–" } }
+                        }
+                    }
+                }
+            }
+            p.note {
+                "Error maps: mean absolute difference of the three channels, black 0 to yellow " (FULL_ERROR)
+                " of 255 and more. Input times were given to the method, the others were not."
+            }
+        }
+    }
+}
+
+/// Column head, metric and digits of the scores of one clip.
+const COLUMNS: [(&str, ImageMetric, usize); 6] = [
+    ("PSNR dB", Psnr, 2),
+    ("SSIM", Ssim, 3),
+    ("LPIPS", Lpips, 3),
+    ("AbsRel", AbsRel, 3),
+    ("RMSE m", Rmse, 3),
+    ("δ1 %", Delta1, 1),
+];
+
+/// The scores of one method on the clip.
+fn score_table(method: &str, sheet: &ScoreSheet) -> Markup {
+    let groups: [(&str, bool, fn(ImageMetric) -> Metric); 2] =
+        [("source", true, Metric::Source), ("novel", false, Metric::Novel)];
+    let images = |source: bool| sheet.images.iter().filter(|image| image.source_view == source).count();
+    html! {
+        h3 { (method) }
+        table {
+            tr { th { "views" } @for (name, ..) in COLUMNS { th { (name) } } th { "images" } }
+            @for (name, source, of_group) in groups {
+                tr {
+                    td { (name) }
+                    @for (_, metric, digits) in COLUMNS { td { (number(clip_value(sheet, of_group(metric)), digits)) } }
+                    td { (images(source)) }
+                }
+            }
+        }
+        p {
+            "robot EPE " (number(clip_value(sheet, Metric::RobotEpe), 2))
+            " mm, robot depth error " (number(clip_value(sheet, Metric::RobotDepth), 1)) " mm"
+            @if let Some(note) = &sheet.lpips_note { "; LPIPS: " (note) }
+        }
+    }
+}
+
+/// Seconds and memory of every unit.
+fn costs(attempts: &[(String, Attempt)]) -> Markup {
+    let total = |attempt: &Attempt| attempt.seconds.get("total").copied().unwrap_or_default();
+    html! {
+        @if !attempts.is_empty() {
+            h3 { "Cost" }
+            table {
+                tr { th { "stage" } th { "seconds" } th { "peak memory MiB" } }
+                @for (node, attempt) in attempts {
+                    tr {
+                        td { (node) }
+                        td { (number(Some(total(attempt)), 2)) }
+                        td { (attempt.peak_rss_bytes >> 20) }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// A cell for an optional number.
+fn number(value: Option<f64>, digits: usize) -> String {
+    value.map_or_else(|| "–".to_owned(), |value| format!("{value:.digits$}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_cannot_break_out_of_the_page() {
+        let clip = ClipResults {
+            id: "<script>alert(1)</script>".to_owned(),
+            ..ClipResults::default()
+        };
+        let html = section(&clip, false, true).into_string();
+        assert!(!html.contains("<script>") && html.contains("&lt;script&gt;"), "{html}");
+    }
+}

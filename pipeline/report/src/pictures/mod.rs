@@ -1,0 +1,13 @@
+//! Pictures of the report: input strips with mesh outlines, robot maps, renders beside references.
+
+mod colours;
+mod comparison;
+mod frames;
+mod outline;
+mod picture;
+mod sheets;
+
+pub(crate) use colours::FULL_ERROR;
+pub(crate) use comparison::{Comparison, comparison};
+pub(crate) use picture::Figure;
+pub(crate) use sheets::{inputs, renders, robot};

@@ -1,0 +1,92 @@
+//! Sheets of pictures of a clip, one a camera: inputs, robot maps, renders.
+
+use rogs_schemas::records::clip::{Clip, ClipCamera};
+use rogs_schemas::records::robot::{RobotMap, RobotMaps};
+use rogs_schemas::records::scores::{RenderedView, Scores};
+
+use super::colours::{depth_picture, depth_range, error_picture, link_picture};
+use super::frames::{frame_rgb, join, map_at, spread};
+use super::outline::draw_outline;
+use super::picture::{Figure, Picture, grid};
+
+/// One strip per source camera: its images at the source times with the mesh outline.
+pub(crate) fn inputs(clip: &Clip, robot: Option<&RobotMaps>) -> Vec<Figure> {
+    let strip = |camera: u32| {
+        let source = clip.cameras.get(camera as usize)?;
+        let cells = clip.source_frames.iter().map(|&frame| {
+            let mut picture = frame_rgb(clip, source, frame)?;
+            if let Some(map) = robot.and_then(|robot| map_at(robot, camera, frame)) {
+                draw_outline(&mut picture, map);
+            }
+            Some(picture)
+        });
+        grid(&[cells.collect()])?.jpeg(format!("{}, frames {}", source.id, join(&clip.source_frames)))
+    };
+    clip.source_cameras().into_iter().filter_map(strip).collect()
+}
+
+/// One sheet per source camera: mesh depth above, link ids below.
+pub(crate) fn robot(clip: &Clip, robot: &RobotMaps) -> Vec<Figure> {
+    let sheet = |camera: u32| {
+        let source = clip.cameras.get(camera as usize)?;
+        let maps: Vec<Option<&RobotMap>> = clip
+            .source_frames
+            .iter()
+            .map(|&frame| map_at(robot, camera, frame))
+            .collect();
+        let (width, height) = (robot.width as usize, robot.height as usize);
+        let depths = maps.iter().flatten().flat_map(|map| map.depth_m.iter().copied());
+        let range = depth_range(depths)?;
+        let depth = maps
+            .iter()
+            .map(|map| map.map(|map| depth_picture(width, height, &map.depth_m, range)));
+        let links = maps.iter().map(|map| map.map(|map| link_picture(width, height, map)));
+        let caption = format!(
+            "{}: depth {:.2} m (dark) to {:.2} m (bright), links by colour",
+            source.id, range.0, range.1
+        );
+        grid(&[depth.collect(), links.collect()])?.png(caption)
+    };
+    clip.source_cameras().into_iter().filter_map(sheet).collect()
+}
+
+/// One sheet per camera: reference, render, absolute error (times 2), rendered depth, at some query times.
+pub(crate) fn renders(clip: &Clip, scores: &Scores) -> Vec<Figure> {
+    let frames = spread(&clip.query_frames);
+    let sheet = |camera: &ClipCamera| {
+        let views: Vec<Option<&RenderedView>> = frames
+            .iter()
+            .map(|&frame| {
+                scores
+                    .renders
+                    .iter()
+                    .find(|view| view.camera == camera.id && view.frame == frame)
+            })
+            .collect();
+        views.iter().flatten().next()?;
+        let reference: Vec<Option<Picture>> = frames.iter().map(|&frame| frame_rgb(clip, camera, frame)).collect();
+        let render: Vec<Option<Picture>> = views
+            .iter()
+            .map(|view| view.and_then(|view| Picture::from_rgb(view.width, view.height, &view.rgb)))
+            .collect();
+        let error = reference
+            .iter()
+            .zip(&render)
+            .map(|(a, b)| error_picture(a.as_ref()?, b.as_ref()?));
+        let range = depth_range(views.iter().flatten().flat_map(|view| view.depth_m.iter().copied()));
+        let depth = views.iter().map(|view| {
+            view.and_then(|view| {
+                Some(depth_picture(
+                    view.width as usize,
+                    view.height as usize,
+                    &view.depth_m,
+                    range?,
+                ))
+            })
+        });
+        let (error, depth) = (error.collect(), depth.collect());
+        let held_out = if camera.partner.is_some() { " (held out)" } else { "" };
+        grid(&[reference, render, error, depth])?.jpeg(format!("{}{held_out}, frames {}", camera.id, join(&frames)))
+    };
+    clip.cameras.iter().filter_map(sheet).collect()
+}

@@ -1,0 +1,129 @@
+//! Plots over the clips of a run: what refinement updates do, and each clip under every method against the baseline.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use rogs_pages::{Plot, PlotPoint, Series};
+use rogs_schemas::records::scores::ScoreSheet;
+use rogs_score::metrics::mean;
+use rogs_score::summary::{ImageMetric, Metric, clip_value};
+
+/// Methods that are compared, with the baseline first: those that are no variant of another.
+fn plain_methods(sheets: &[ScoreSheet]) -> Vec<&str> {
+    let names: BTreeSet<&str> = sheets
+        .iter()
+        .map(|sheet| sheet.method.as_str())
+        .filter(|method| !method.contains('/'))
+        .collect();
+    let mut methods: Vec<&str> = names.into_iter().collect();
+    methods.sort_by_key(|method| *method != "stage1");
+    methods
+}
+
+/// The plots that have something to show, in order.
+pub(crate) fn plots(sheets: &[ScoreSheet]) -> Vec<Plot> {
+    let metrics = [
+        (Metric::Source(ImageMetric::Psnr), "source PSNR, dB"),
+        (Metric::Novel(ImageMetric::Psnr), "novel PSNR, dB"),
+        (Metric::Novel(ImageMetric::AbsRel), "novel AbsRel"),
+        (Metric::RobotEpe, "robot EPE, mm"),
+    ];
+    let mut plots = Vec::new();
+    for (metric, label) in metrics {
+        plots.push(recurrence_plot(sheets, metric, label));
+    }
+    let methods = plain_methods(sheets);
+    for (metric, label) in metrics {
+        plots.push(clip_plot(sheets, &methods, metric, label));
+    }
+    plots.retain(|plot| !plot.series.is_empty());
+    plots
+}
+
+/// Mean over clips after 0, 1, ... refinement updates (methods `stage1+2/rN`).
+fn recurrence_plot(sheets: &[ScoreSheet], metric: Metric, label: &str) -> Plot {
+    let mut by_update: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
+    for sheet in sheets {
+        let update = sheet
+            .method
+            .strip_prefix("stage1+2/r")
+            .and_then(|update| update.parse().ok());
+        if let (Some(update), Some(value)) = (update, clip_value(sheet, metric)) {
+            by_update.entry(update).or_default().push(value);
+        }
+    }
+    let point = |(update, values): (u32, Vec<f64>)| {
+        let y = mean(&values)?;
+        Some(PlotPoint {
+            x: f64::from(update),
+            y,
+            name: format!("{update} updates, {} clips", values.len()),
+        })
+    };
+    let points: Vec<PlotPoint> = by_update.into_iter().filter_map(point).collect();
+    Plot {
+        title: format!("Refinement updates: {label}"),
+        x_label: "updates".to_owned(),
+        y_label: label.to_owned(),
+        series: if points.len() > 1 {
+            vec![Series {
+                label: String::new(),
+                points,
+            }]
+        } else {
+            Vec::new()
+        },
+        lines: true,
+        ..Plot::default()
+    }
+}
+
+/// Every clip: the baseline's value against that of each other method; with one method, its values in the order of clips.
+fn clip_plot(sheets: &[ScoreSheet], methods: &[&str], metric: Metric, label: &str) -> Plot {
+    let of = |method: &str| -> BTreeMap<(&str, &str), f64> {
+        let own = sheets.iter().filter(|sheet| sheet.method == method);
+        own.filter_map(|sheet| {
+            Some((
+                (sheet.setting.as_str(), sheet.clip_id.as_str()),
+                clip_value(sheet, metric)?,
+            ))
+        })
+        .collect()
+    };
+    let mut plot = Plot {
+        title: format!("Clips: {label}"),
+        y_label: label.to_owned(),
+        ..Plot::default()
+    };
+    let Some((first, others)) = methods.split_first() else {
+        return plot;
+    };
+    let base = of(first);
+    if others.is_empty() {
+        plot.x_label = "clip".to_owned();
+        let points = base.iter().zip(1u32..).map(|(((_, clip), &y), x)| PlotPoint {
+            x: f64::from(x),
+            y,
+            name: (*clip).to_owned(),
+        });
+        plot.series.push(Series {
+            label: (*first).to_owned(),
+            points: points.collect(),
+        });
+    } else {
+        plot.x_label = format!("{first}: {label}");
+        plot.diagonal = true;
+        for method in others {
+            let points = of(method).into_iter().filter_map(|(key, y)| {
+                let x = *base.get(&key)?;
+                let name = key.1.to_owned();
+                Some(PlotPoint { x, y, name })
+            });
+            plot.series.push(Series {
+                label: (*method).to_owned(),
+                points: points.collect(),
+            });
+        }
+    }
+    plot.series.retain(|series| !series.points.is_empty());
+    plot
+}

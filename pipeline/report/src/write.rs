@@ -1,0 +1,85 @@
+//! From the results of a run to the files of its report.
+
+use std::path::{Path, PathBuf};
+
+use rogs_orchestrator::manifest::Manifest;
+use rogs_orchestrator::{Error, Result};
+use rogs_schemas::atomic::write_bytes;
+use rogs_score::tables::{Table, TableId, TableOptions};
+
+use crate::forms::Form;
+use crate::page::page;
+use crate::results::RunResults;
+
+/// Folder of the report in a run folder.
+const FOLDER: &str = "report";
+/// Folder of the table files beside the page.
+const TABLES_FOLDER: &str = "tables";
+/// Clips with pictures when the manifest does not say.
+const PICTURE_CLIPS: usize = 24;
+
+/// Writes the report of a run folder: `report/index.html` and, in every form, `report/tables/`. Returns the path of the
+/// page. Outputs that cannot be read are named in the page instead of stopping it.
+///
+/// # Errors
+/// When `run` is no run folder, cannot be read, or the report cannot be written.
+pub fn write_report(run: &Path) -> Result<PathBuf> {
+    let results = RunResults::read(run)?;
+    let folder = results.plan.run.join(FOLDER);
+    let options = TableOptions {
+        hide_empty_rows: true,
+        ..TableOptions::default()
+    };
+    let mut tables = Vec::new();
+    for id in TableId::ALL {
+        let table = results.table(id, None, options)?;
+        if has_content(&table) {
+            write_table(&folder.join(TABLES_FOLDER), &table)?;
+            tables.push(table);
+        }
+    }
+    let manifest = Manifest::load(&results.plan.manifest).ok();
+    let picture_clips = manifest.and_then(|(manifest, _)| manifest.report.clips);
+    let page = page(&results, &tables, picture_clips.unwrap_or(PICTURE_CLIPS));
+    make_folder(&folder)?;
+    let path = folder.join("index.html");
+    write_bytes(&path, page.into_string().as_bytes())?;
+    Ok(path)
+}
+
+/// Whether a table says something about this run: a number, and in tables of variants one of a variant.
+fn has_content(table: &Table) -> bool {
+    let of_variants = !matches!(
+        table.id,
+        TableId::Main | TableId::Additional | TableId::Ci | TableId::Scale | TableId::Timing
+    );
+    let measured = table
+        .rows
+        .iter()
+        .filter(|row| row.cells.iter().any(|cell| cell.value().is_some()));
+    let mut methods = measured.map(|row| row.method.as_str());
+    methods.any(|method| !of_variants || method.contains('/'))
+}
+
+/// Writes a table in all its forms.
+fn write_table(folder: &Path, table: &Table) -> Result<()> {
+    make_folder(folder)?;
+    for form in Form::ALL {
+        let path = folder.join(format!("{}.{}", table.id, form.extension()));
+        let text = form.print(table).map_err(|error| Error::Io {
+            action: "cannot write",
+            path: path.clone(),
+            source: error.into(),
+        })?;
+        write_bytes(&path, text.as_bytes())?;
+    }
+    Ok(())
+}
+
+fn make_folder(path: &Path) -> Result<()> {
+    std::fs::create_dir_all(path).map_err(|source| Error::Io {
+        action: "cannot make",
+        path: path.to_owned(),
+        source,
+    })
+}
