@@ -1,5 +1,7 @@
 //! The whole program on procedural episodes: outputs, resume, failures, determinism.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 mod support;
 
 use std::process::{Command, Stdio};

@@ -1,5 +1,7 @@
 //! Every command prints one JSON value on standard output when it is asked with `--json`.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 mod support;
 
 use std::collections::BTreeSet;

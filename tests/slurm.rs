@@ -1,6 +1,8 @@
 //! The real program and its stages on a real Slurm; the cases of faults run on toy stages, in
 //! `pipeline/orchestrator/tests/slurm.rs`.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 mod support;
 
 #[path = "../pipeline/orchestrator/tests/common/cluster.rs"]

@@ -7,6 +7,7 @@
 //!
 //! Floors: write 1.5 times and read 1.0 times the best peer, for f32 at a ratio within 2 % of the best peer's.
 
+#![allow(clippy::disallowed_methods, reason = "files of benchmarks may be left half-written")]
 #![allow(missing_docs, reason = "a program")]
 
 use std::collections::BTreeMap;

@@ -48,3 +48,10 @@ pub enum Error {
         what: String,
     },
 }
+
+impl From<rogs_files::Error> for Error {
+    fn from(error: rogs_files::Error) -> Self {
+        let rogs_files::Error { action, path, source } = error;
+        Self::Io { action, path, source }
+    }
+}

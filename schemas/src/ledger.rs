@@ -8,6 +8,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use rogs_files::fault_injection::{self, Operation};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
@@ -143,7 +144,7 @@ pub fn append(path: &Path, attempt: &Attempt) -> Result<()> {
         path: path.to_owned(),
         source,
     };
-    crate::fault::at("append", path).map_err(io)?;
+    fault_injection::at(Operation::Append, path).map_err(io)?;
     let mut line = serde_json::to_vec(attempt).map_err(|error| io(std::io::Error::other(error)))?;
     line.push(b'\n');
     let open = || std::fs::OpenOptions::new().create(true).append(true).open(path);

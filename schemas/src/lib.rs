@@ -1,10 +1,8 @@
 //! Everything that lies on disk between the stages of rogs: the chunk container (`.r4c`), the records in it, cache keys
 //! and provenance, and the worker protocol. This crate knows no other crate of the workspace.
 
-pub mod atomic;
 pub mod episode;
 pub mod error;
-mod fault;
 pub mod json;
 pub mod key;
 pub mod ledger;
@@ -16,6 +14,8 @@ pub mod record;
 pub mod records;
 pub mod source;
 pub mod units;
+
+pub use rogs_files as atomic;
 
 pub use error::{Error, Result};
 pub use json::{canonical_json, overlay};

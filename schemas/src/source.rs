@@ -115,6 +115,7 @@ fn walk(root: &Path, folder: &Path, files: &mut BTreeMap<String, PathBuf>) -> Re
 }
 
 #[cfg(test)]
+#[allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 mod tests {
     use super::*;
 

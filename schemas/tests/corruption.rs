@@ -1,5 +1,7 @@
 //! No damage goes unnoticed and none is a panic (`docs/spec/r4c.md` section 4).
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 mod common;
 mod forge;
 

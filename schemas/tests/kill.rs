@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use common::Scratch;
-use rogs_schemas::atomic::sweep;
+use rogs_files::sweep;
 use rogs_schemas::r4c::verify;
 use rogs_schemas::write_record;
 

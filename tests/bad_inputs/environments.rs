@@ -1,5 +1,7 @@
 //! Languages, zones, names of folders.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 use std::process::Command;
 
 use crate::support::{ROGS, Workspace};

@@ -1,5 +1,7 @@
 //! Containers and weights.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 use std::path::{Path, PathBuf};
 
 use serde_json::json;

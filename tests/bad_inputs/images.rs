@@ -1,5 +1,7 @@
 //! Image files, and depth as `.npy` and OpenEXR.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 use crate::cases::{Cases, Failure, Nothing, Said, edit};
 
 #[test]

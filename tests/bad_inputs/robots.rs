@@ -1,5 +1,7 @@
 //! Robots (URDF) and the meshes of their links.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 use crate::cases::{Cases, altered};
 
 #[test]

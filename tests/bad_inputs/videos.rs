@@ -1,5 +1,7 @@
 //! Video files.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 use std::path::{Path, PathBuf};
 use std::process::Command;
 

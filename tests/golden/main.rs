@@ -1,5 +1,7 @@
 //! Every stage alone on committed inputs against its committed output. `README.md` beside this file says how and why.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 #[path = "../support/golden.rs"]
 mod golden;
 

@@ -37,3 +37,10 @@ pub enum Error {
     #[error(transparent)]
     Splat(#[from] rogs_splat::SplatError),
 }
+
+impl From<rogs_files::Error> for Error {
+    fn from(error: rogs_files::Error) -> Self {
+        let rogs_files::Error { action, path, source } = error;
+        Self::Io { action, path, source }
+    }
+}

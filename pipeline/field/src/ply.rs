@@ -6,7 +6,7 @@
 //! metres and say so in comments, because the format itself has no unit.
 
 use std::collections::HashMap;
-use std::io::{BufWriter, Read, Write};
+use std::io::{Read, Write};
 use std::path::Path;
 
 use rogs_schemas::units::LengthUnit;
@@ -395,23 +395,7 @@ pub fn export_field_in(field: &TimedField<'_>, time: f64, axes: Axes, path: &Pat
         }
     };
     let comments = [format!("frame {frame} unit m"), format!("time {time}")];
-    let io = |action| {
-        move |source| Error::Io {
-            action,
-            path: path.to_owned(),
-            source,
-        }
-    };
-    let partial = path.with_extension("ply.partial");
-    let file = std::fs::File::create(&partial).map_err(io("creating"))?;
-    let mut writer = BufWriter::with_capacity(1 << 20, file);
-    let written = write_ply(&gaussians, LengthUnit::Internal, &comments, &mut writer, path)
-        .and_then(|()| writer.flush().map_err(io("writing")))
-        .and_then(|()| writer.get_ref().sync_all().map_err(io("writing")));
-    if let Err(error) = written {
-        // The half file is of no use to anyone; the first error is the one to report.
-        let _ = std::fs::remove_file(&partial);
-        return Err(error);
-    }
-    std::fs::rename(&partial, path).map_err(io("renaming to"))
+    rogs_files::try_write_with(path, |file| {
+        write_ply(&gaussians, LengthUnit::Internal, &comments, file, path)
+    })
 }

@@ -4,6 +4,8 @@
 //! plans CLIPS text episodes (default 10,000), looks at their state with no output and with all outputs there, plans ten
 //! and FACTOR (default 100) times as many clips without files, and runs RUN_CLIPS (default 200) through the executor.
 
+#![allow(clippy::disallowed_methods, reason = "files of examples may be left half-written")]
+
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 

@@ -112,14 +112,25 @@ impl Error {
 
 impl From<rogs_schemas::Error> for Error {
     fn from(error: rogs_schemas::Error) -> Self {
-        let mut message = error.to_string();
-        let mut source = std::error::Error::source(&error);
-        while let Some(cause) = source {
-            message = format!("{message}: {cause}");
-            source = cause.source();
-        }
-        Self::Schemas(message)
+        Self::Schemas(with_causes(&error))
     }
+}
+
+impl From<rogs_files::Error> for Error {
+    fn from(error: rogs_files::Error) -> Self {
+        Self::Schemas(with_causes(&error))
+    }
+}
+
+/// An error and its causes in one line.
+fn with_causes(error: &dyn std::error::Error) -> String {
+    let mut message = error.to_string();
+    let mut source = error.source();
+    while let Some(cause) = source {
+        message = format!("{message}: {cause}");
+        source = cause.source();
+    }
+    message
 }
 
 /// For `map_err`: an [`Error::Io`] about this path.

@@ -75,10 +75,9 @@ pub fn export(plan: &Plan, programs: &StagePrograms, shards: u32, file: &Path) -
     plan.freeze()?;
     let file = std::path::absolute(file).map_err(io("cannot find", file))?;
     let mut units = 0;
-    rogs_schemas::atomic::write_with(&file, |out| {
-        let mut out = std::io::BufWriter::new(out);
-        units = write_units(plan, shards, &mut out)?;
-        out.flush()
+    rogs_files::write_with(&file, |out| {
+        units = write_units(plan, shards, out)?;
+        Ok(())
     })?;
     let command = |stage: StageId, shard: u32| batch_command(programs, stage, &file, &shard.to_string(), shards);
     let commands = stages(plan)

@@ -93,7 +93,7 @@ impl Sweep<'_> {
             let not_needed = name.ends_with(".r4c") && !name.starts_with('.') && !self.needed.contains(relative);
             // The log of a clip that is in no plan any more.
             let orphan_log = name == LOG_FILE && depth == 1 && !known;
-            if not_needed || orphan_log || rogs_schemas::atomic::is_left_behind(&path) {
+            if not_needed || orphan_log || rogs_files::is_left_behind(&path) {
                 self.take(&path, &entry);
             }
         }
@@ -106,7 +106,7 @@ impl Sweep<'_> {
             let (path, kind) = (entry.path(), entry.file_type().map_err(io("cannot list", folder))?);
             if kind.is_dir() && depth < 1 && entry.file_name() != "clips" {
                 self.left_behind(&path, depth + 1)?;
-            } else if kind.is_file() && rogs_schemas::atomic::is_left_behind(&path) {
+            } else if kind.is_file() && rogs_files::is_left_behind(&path) {
                 self.take(&path, &entry);
             }
         }

@@ -256,6 +256,7 @@ pub fn costs(attempts: &[Attempt]) -> HashMap<String, StageCost> {
 }
 
 #[cfg(test)]
+#[allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 mod tests {
     use rogs_schemas::ledger::Failure;
     use rogs_schemas::protocol::FailureCode;

@@ -70,7 +70,7 @@ impl Prepared {
     /// See [`crate::executor::execute`].
     pub fn run(&self) -> Result<crate::executor::RunSummary> {
         let summary = crate::executor::execute(&self.plan, &self.options)?;
-        rogs_schemas::atomic::write_bytes(&self.plan.run.join(MANIFEST_FILE), self.text.as_bytes())?;
+        rogs_files::write_bytes(&self.plan.run.join(MANIFEST_FILE), self.text.as_bytes())?;
         Ok(summary)
     }
 }

@@ -58,11 +58,8 @@ impl SourceCache {
         };
         let known = self.known.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         let sorted: BTreeMap<_, _> = known.iter().collect();
-        Ok(rogs_schemas::atomic::write_with(file, |out| {
-            let mut out = std::io::BufWriter::new(out);
-            serde_json::to_writer(&mut out, &sorted)?;
-            std::io::Write::flush(&mut out)
-        })?)
+        rogs_files::write_with(file, |out| Ok(serde_json::to_writer(out, &sorted)?))?;
+        Ok(())
     }
 
     /// Content hash of one file.

@@ -1,5 +1,7 @@
 //! Killing everything at any moment: nothing is lost, nothing is half written, the bytes stay the same.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 mod common;
 
 use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};

@@ -1,5 +1,7 @@
 //! Handing work to other engines: exported plans, Slurm scripts, and keeping house.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 mod common;
 
 use std::process::Command;

@@ -1,6 +1,8 @@
 //! What the world does to a run besides killing it: operations that fail, full disks, limits, hangs, wrong clocks.
 //! `docs/faults.md` is the table of these cases.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 mod common;
 
 use std::collections::BTreeMap;

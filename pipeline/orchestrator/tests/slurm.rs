@@ -1,5 +1,7 @@
 //! The Slurm back-end on a real Slurm on this host.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 #[path = "common/cluster.rs"]
 mod cluster;
 mod common;

@@ -4,6 +4,8 @@
 //!
 //! The peers draw exactly the scene that this program writes, see `peers/mesh.py`.
 
+#![allow(clippy::disallowed_methods, reason = "files of benchmarks may be left half-written")]
+
 mod common;
 
 use std::path::Path;

@@ -1,6 +1,8 @@
 //! Readers of robots and meshes on random and damaged files: no panic, bounded memory, always a message.
 //! More cases with `PROPTEST_CASES=100000`.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};

@@ -1,5 +1,7 @@
 //! `rogs render` on a small wall of Gaussians: pictures, arrays for Python, PLY files in two frames.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -1,5 +1,7 @@
 //! Weights files: generation, import of every format and number type, verification, damage, streaming.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 mod support;
 
 use std::collections::BTreeMap;

@@ -45,3 +45,12 @@ pub enum Error {
     #[error("{0}")]
     BadInput(String),
 }
+
+impl From<rogs_files::Error> for Error {
+    fn from(error: rogs_files::Error) -> Self {
+        Self::Io {
+            path: error.path,
+            source: error.source,
+        }
+    }
+}

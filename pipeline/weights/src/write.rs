@@ -1,8 +1,7 @@
 //! Writing checkpoints tensor by tensor, so that a file may be larger than memory.
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::Write as _;
 use std::path::Path;
 
 use serde_json::{Value, json};
@@ -20,7 +19,7 @@ pub struct TensorSource<'a> {
     pub values: Box<dyn FnOnce() -> Result<Vec<f32>> + 'a>,
 }
 
-/// Writes a safetensors file beside its place, flushes it to disk and renames it, so that nobody meets half of it.
+/// Writes a safetensors file, whole or not at all.
 ///
 /// # Errors
 /// When writing fails or a tensor cannot be had or has other values than its shape says.
@@ -36,11 +35,7 @@ pub fn write(
     };
     tensors.sort_by(|a, b| a.name.cmp(&b.name));
     let header = header(metadata, element, &tensors);
-    let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(format!(".{}.part", std::process::id()));
-    let beside = path.with_file_name(name);
-    let written = (|| {
-        let mut out = BufWriter::with_capacity(1 << 20, File::create(&beside).map_err(io)?);
+    rogs_files::try_write_with(path, |out| {
         out.write_all(&(header.len() as u64).to_le_bytes())
             .and_then(|()| out.write_all(&header))
             .map_err(io)?;
@@ -55,15 +50,8 @@ pub fn write(
             }
             out.write_all(&element.narrow(&values)).map_err(io)?;
         }
-        let file = out.into_inner().map_err(|error| io(error.into_error()))?;
-        file.sync_all().map_err(io)?;
-        std::fs::rename(&beside, path).map_err(io)
-    })();
-    if written.is_err() {
-        // Best effort: the failure itself is what the caller needs to hear.
-        let _ = std::fs::remove_file(&beside);
-    }
-    written
+        Ok(())
+    })
 }
 
 /// The header: metadata, then tensors in the order of their data, padded with spaces to a multiple of 8.

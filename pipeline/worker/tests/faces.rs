@@ -1,5 +1,7 @@
 //! The faces of a stage program, through a real process: `examples/toy_stage.rs`.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};

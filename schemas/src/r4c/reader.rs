@@ -16,6 +16,8 @@ use super::layout::{
 use super::stream::{Codec, Element, StreamInfo, StreamSpec};
 use super::writer::{Schema, required_features, value_spec};
 use super::{CONTAINER_VERSION, FEATURE_PLANES, META_CONTENT, META_PROVENANCE, codec};
+use rogs_files::fault_injection::{self, Operation};
+
 use crate::error::{Error, Result};
 use crate::key::{CacheKey, ContentHash, Provenance};
 use crate::record::{FileInfo, SchemaId};
@@ -78,7 +80,7 @@ pub fn read_key(path: &Path) -> Result<CacheKey> {
         offset,
         check,
     };
-    crate::fault::at("open", path).map_err(io)?;
+    fault_injection::at(Operation::Open, path).map_err(io)?;
     let file = File::open(path).map_err(io)?;
     let status = file.metadata().map_err(io)?;
     let length = status.len();
@@ -172,7 +174,7 @@ impl Reader {
             offset,
             check,
         };
-        crate::fault::at("open", path).map_err(io("opening"))?;
+        fault_injection::at(Operation::Open, path).map_err(io("opening"))?;
         let file = File::open(path).map_err(io("opening"))?;
         let status = file.metadata().map_err(io("opening"))?;
         let length = status.len();

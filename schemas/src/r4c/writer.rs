@@ -173,7 +173,7 @@ impl Writer {
             blocks_hash: blocks_hash(&schema, &index),
             file_length: footer_offset + EDGE,
         };
-        crate::atomic::write_with(path, |file| {
+        rogs_files::write_with(path, |file| {
             file.write_all(&prologue.to_bytes())?;
             for bytes in self.chunks.iter().map(|chunk| &chunk.bytes).chain([&schema, &index]) {
                 file.write_all(bytes)?;

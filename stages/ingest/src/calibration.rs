@@ -8,7 +8,8 @@ use rogs_schemas::episode::PixelCentres;
 use rogs_worker::StageResult;
 use serde::Deserialize;
 
-use crate::checks::{self, read_text, wrong};
+use crate::checks;
+use crate::fault::{read_text, wrong};
 use crate::source::SourceMount;
 
 /// Longest calibration file, bytes.

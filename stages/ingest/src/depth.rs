@@ -1,12 +1,16 @@
 //! Reference depth: metres in `.npy` or OpenEXR, or millimetres in 16-bit PNG.
 
+use std::path::Path;
+
+use rogs_arrays::{FlatExr, NpyFile};
 use rogs_worker::StageResult;
 
-use crate::checks::wrong;
-use crate::exr_depth::read_exr;
+use crate::fault::{unreadable, wrong};
 use crate::images::{numbered, read_grey16};
-use crate::npy::Npy;
 use crate::source::SourceDepth;
+
+/// The channel of depth in OpenEXR files, as the format's own description names it.
+const DEPTH_CHANNEL: &str = "Z";
 
 impl SourceDepth {
     /// Hands the depth maps of these episode frames to `take` in order: metres, NaN where unknown. `[h, w]`
@@ -17,14 +21,12 @@ impl SourceDepth {
         (width, height): (u32, u32),
         mut take: impl FnMut(&[f32]),
     ) -> StageResult<()> {
-        let (rows, columns) = (Some(u64::from(height)), Some(u64::from(width)));
+        let (rows, columns) = (height as usize, width as usize);
         let frames = (0..count).map(|index| first + index * step);
         if self.path.is_file() {
-            let mut array = Npy::open(&self.path)?;
-            array.expect_shape(&[Some(u64::from(frame_count)), rows, columns])?;
-            array.expect_floats()?;
+            let mut array = open_floats(&self.path, &[frame_count as usize, rows, columns])?;
             for frame in frames {
-                take(&metres(array.entry(u64::from(frame))?));
+                take(&metres(array.entry(frame as usize).map_err(unreadable)?));
             }
             return Ok(());
         }
@@ -37,10 +39,8 @@ impl SourceDepth {
             if exr.exists() {
                 take(&metres(read_exr(&exr, (width, height))?));
             } else if array.exists() {
-                let mut array = Npy::open(&array)?;
-                array.expect_shape(&[rows, columns])?;
-                array.expect_floats()?;
-                take(&metres(array.all()?));
+                let mut array = open_floats(&array, &[rows, columns])?;
+                take(&metres(array.all().map_err(unreadable)?));
             } else {
                 let millimetres = read_grey16(&self.path.join(numbered(frame, "png")), (width, height))?;
                 take(&metres(
@@ -50,6 +50,46 @@ impl SourceDepth {
         }
         Ok(())
     }
+}
+
+/// A `.npy` file of floating-point numbers of this shape.
+pub(crate) fn open_floats(path: &Path, shape: &[usize]) -> StageResult<NpyFile> {
+    let array = NpyFile::open(path).map_err(unreadable)?;
+    array.expect_shape(shape).map_err(unreadable)?;
+    array.expect_floats().map_err(unreadable)?;
+    Ok(array)
+}
+
+/// The depth of an OpenEXR file of the expected size (width, height), metres. `[h, w]`
+fn read_exr(path: &Path, (width, height): (u32, u32)) -> StageResult<Vec<f64>> {
+    let image = FlatExr::open(path).map_err(unreadable)?;
+    if (image.width, image.height) != (width as usize, height as usize) {
+        let what = format!(
+            "the image is {}x{}, the episode says {width}x{height}",
+            image.width, image.height
+        );
+        return Err(wrong(path, what));
+    }
+    if !image.whole {
+        return Err(wrong(
+            path,
+            "data window and display window differ; save the whole image",
+        ));
+    }
+    let channel = depth_channel(&image).map_err(|what| wrong(path, what))?;
+    let planes = image.planes(&[channel]).map_err(unreadable)?;
+    Ok(planes.into_iter().flatten().map(f64::from).collect())
+}
+
+/// The position of the depth channel.
+fn depth_channel(image: &FlatExr) -> Result<usize, String> {
+    let only = (image.channels.len() == 1).then_some(0);
+    only.or_else(|| image.position(DEPTH_CHANNEL)).ok_or_else(|| {
+        format!(
+            "none of its channels ({}) is `{DEPTH_CHANNEL}`; name the depth so or save it alone",
+            image.channels.join(", ")
+        )
+    })
 }
 
 /// Unknown depth (NaN, infinite, 0 or less) becomes NaN.

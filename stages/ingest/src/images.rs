@@ -2,16 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use image::{ColorType, DynamicImage, ImageDecoder as _, ImageReader, Limits};
+use image::ColorType;
+use rogs_arrays::Png;
 use rogs_worker::StageResult;
 
-use crate::checks::{io_error, wrong};
-use crate::video::{self, VideoInfo};
-
-/// Largest side of an image file, pixels.
-const MAX_SIDE: u32 = 8192;
-/// Most memory for decoding one image file, bytes.
-const MAX_ALLOC: u64 = 512 << 20;
+use crate::fault::{io_error, unreadable, wrong};
+use crate::media::VideoInfo;
+use crate::video;
 
 /// Where the images of a camera come from.
 #[derive(Debug, Clone)]
@@ -119,7 +116,7 @@ fn check_size(path: &Path, found: (u32, u32), expected: (u32, u32)) -> StageResu
 
 /// One 8-bit RGB or grey image of the expected size. `[h, w, 3]`
 fn read_rgb(path: &Path, size: (u32, u32)) -> StageResult<Vec<u8>> {
-    let image = read_image(path, size)?;
+    let image = open_png(path, size)?.decode().map_err(unreadable)?;
     match image.color() {
         ColorType::Rgb8 | ColorType::L8 => Ok(image.into_rgb8().into_raw()),
         ColorType::Rgba8
@@ -136,25 +133,11 @@ fn read_rgb(path: &Path, size: (u32, u32)) -> StageResult<Vec<u8>> {
 
 /// A 16-bit grey image of the expected size. `[h, w]`
 pub(crate) fn read_grey16(path: &Path, size: (u32, u32)) -> StageResult<Vec<u16>> {
-    match read_image(path, size)? {
-        DynamicImage::ImageLuma16(image) => Ok(image.into_raw()),
-        other => Err(wrong(
-            path,
-            format!("pixels are {:?}, expected 16-bit grey (millimetres)", other.color()),
-        )),
-    }
+    open_png(path, size)?.decode_grey16().map_err(unreadable)
 }
 
-fn read_image(path: &Path, size: (u32, u32)) -> StageResult<DynamicImage> {
-    let bad = |error: image::ImageError| wrong(path, format!("not a readable PNG image: {error}"));
-    let mut reader = ImageReader::open(path).map_err(|error| io_error(path, &error))?;
-    reader.set_format(image::ImageFormat::Png);
-    let mut limits = Limits::default();
-    limits.max_image_width = Some(MAX_SIDE);
-    limits.max_image_height = Some(MAX_SIDE);
-    limits.max_alloc = Some(MAX_ALLOC);
-    reader.limits(limits);
-    let decoder = reader.into_decoder().map_err(bad)?;
-    check_size(path, decoder.dimensions(), size)?;
-    DynamicImage::from_decoder(decoder).map_err(bad)
+fn open_png(path: &Path, size: (u32, u32)) -> StageResult<Png> {
+    let png = Png::open(path).map_err(unreadable)?;
+    check_size(path, (png.width, png.height), size)?;
+    Ok(png)
 }

@@ -6,6 +6,7 @@ use rogs_worker::{StageError, StageResult};
 use serde::Serialize;
 
 use crate::checks::safe_name;
+use crate::fault::io_error;
 use crate::layouts::{Layout, ctrlworld, detect, lerobot_dataset, rogs_episode};
 
 /// One episode that can be ingested.
@@ -39,7 +40,7 @@ pub fn list_episodes(root: &Path) -> StageResult<Vec<EpisodeListing>> {
     if !found.is_empty() && found.iter().any(|episode| episode.layout != "droid-ctrlworld") {
         return Ok(found);
     }
-    let entries = std::fs::read_dir(root).map_err(|error| crate::checks::io_error(root, &error))?;
+    let entries = std::fs::read_dir(root).map_err(|error| io_error(root, &error))?;
     let mut names: Vec<String> = entries
         .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
         .collect();
@@ -103,7 +104,7 @@ fn list(folder: &Path, relative: &str, layout: Layout) -> StageResult<Vec<Episod
 /// Every file below a folder, relative.
 fn all_files(folder: &Path) -> StageResult<Vec<String>> {
     fn walk(root: &Path, folder: &Path, depth: usize, out: &mut Vec<String>) -> StageResult<()> {
-        let entries = std::fs::read_dir(folder).map_err(|error| crate::checks::io_error(folder, &error))?;
+        let entries = std::fs::read_dir(folder).map_err(|error| io_error(folder, &error))?;
         for entry in entries.filter_map(Result::ok) {
             let path = entry.path();
             let name = path.strip_prefix(root).unwrap_or(&path).to_str().map(str::to_owned);

@@ -1,8 +1,21 @@
-//! What can be decoded on this machine, for `rogs doctor`.
+//! What a video says about itself, and, for `rogs doctor`, what can be decoded on this machine.
 
 use std::process::{Command, Stdio};
 
 use serde::Serialize;
+
+/// What a video file says about its first video stream.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct VideoInfo {
+    /// Codec name, `h264`.
+    pub(crate) codec: String,
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    /// Frames in the file, counted without decoding.
+    pub(crate) frames: u64,
+    /// Frames per second.
+    pub(crate) fps: f64,
+}
 
 /// The video programs and what they can do.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]

@@ -13,7 +13,8 @@ use std::process::{Command, Stdio};
 use rogs_worker::{StageError, StageResult};
 use serde::Deserialize;
 
-use crate::checks::{io_error, wrong};
+use crate::fault::{io_error, wrong};
+use crate::media::VideoInfo;
 
 /// Largest side of a video, pixels.
 const MAX_SIDE: u32 = 8192;
@@ -21,19 +22,6 @@ const MAX_SIDE: u32 = 8192;
 const MAX_PIXELS: u64 = 40_000_000;
 /// Container formats that are opened.
 const FORMATS: &str = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi";
-
-/// What a video file says about its first video stream.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct VideoInfo {
-    /// Codec name, `h264`.
-    pub(crate) codec: String,
-    pub(crate) width: u32,
-    pub(crate) height: u32,
-    /// Frames in the file, counted without decoding.
-    pub(crate) frames: u64,
-    /// Frames per second.
-    pub(crate) fps: f64,
-}
 
 #[derive(Deserialize)]
 struct Probe {

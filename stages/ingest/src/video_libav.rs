@@ -10,8 +10,8 @@ use ffmpeg_next as ffmpeg;
 use ffmpeg_next::util::frame::Video;
 use rogs_worker::StageResult;
 
-use crate::checks::wrong;
-use crate::video::VideoInfo;
+use crate::fault::wrong;
+use crate::media::VideoInfo;
 
 /// Conversion to packed RGB, as in [`crate::video::decode`].
 const TO_RGB: &str = "scale=flags=bilinear+accurate_rnd+full_chroma_int+bitexact,format=rgb24";

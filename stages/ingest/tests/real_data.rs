@@ -1,5 +1,7 @@
 //! Real recordings of the reference data: DROID in the Ctrl-World form and LeRobot, and damaged copies.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 mod common;
 
 use std::path::{Path, PathBuf};

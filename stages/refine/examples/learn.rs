@@ -6,6 +6,8 @@
 //! clips need real clips and the whole objective. With FOLDER, writes observation, Stage 1 and the refined render of one
 //! unseen clip side by side as a PPM picture.
 
+#![allow(clippy::disallowed_methods, reason = "files of examples may be left half-written")]
+
 #[path = "../tests/support/mod.rs"]
 mod support;
 

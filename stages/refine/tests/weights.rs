@@ -1,5 +1,7 @@
 //! Weight files, and the stage as a program.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 mod support;
 
 use std::collections::BTreeMap;

@@ -3,10 +3,9 @@
 
 use std::path::{Path, PathBuf};
 
-use rogs_flat_exr::{ExrError, FlatExr};
+use rogs_arrays::{Array, ArrayFile, FlatExr, Problem, Values};
 
 use crate::metrics::Pixels;
-use crate::outside::{Array, ArrayFile, Values};
 
 /// Extensions of the files that are read.
 pub const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "exr", "npz", "safetensors"];
@@ -81,6 +80,16 @@ pub enum PictureError {
     },
 }
 
+impl From<rogs_arrays::Error> for PictureError {
+    fn from(error: rogs_arrays::Error) -> Self {
+        let rogs_arrays::Error { path, problem } = error;
+        match problem {
+            Problem::Io(source) => Self::Read { path, source },
+            Problem::Wrong(what) => Self::Wrong { path, what },
+        }
+    }
+}
+
 impl PictureError {
     fn wrong(path: &Path, what: impl Into<String>) -> Self {
         Self::Wrong {
@@ -151,17 +160,10 @@ fn read_image(path: &Path) -> Result<Picture, PictureError> {
 }
 
 fn read_exr(path: &Path) -> Result<Picture, PictureError> {
-    let bad = |error: ExrError| match error {
-        ExrError::Read(source) => PictureError::Read {
-            path: path.to_owned(),
-            source,
-        },
-        other => PictureError::wrong(path, other.to_string()),
-    };
-    let image = FlatExr::open(path).map_err(bad)?;
+    let image = FlatExr::open(path)?;
     let (height, width) = (image.height, image.width);
     let chosen = channels(&image).map_err(|what| PictureError::wrong(path, what))?;
-    let planes = image.planes(&chosen).map_err(bad)?;
+    let planes = image.planes(&chosen)?;
     let content = match <[Vec<f32>; 3]>::try_from(planes) {
         Ok([r, g, b]) => {
             let pixels = r.iter().zip(&g).zip(&b);
@@ -192,18 +194,12 @@ fn channels(image: &FlatExr) -> Result<Vec<usize>, String> {
 }
 
 fn read_arrays(path: &Path) -> Result<Vec<Picture>, PictureError> {
-    let wrong = |error: &dyn std::fmt::Display| PictureError::wrong(path, error.to_string());
-    // Messages of the reader begin with the path already.
-    let read = |error: crate::outside::OutsideError| match error {
-        crate::outside::OutsideError::File { what, .. } => PictureError::wrong(path, what),
-        other => wrong(&other),
-    };
-    let file = ArrayFile::open(path).map_err(read)?;
+    let file = ArrayFile::open(path)?;
     let mut pictures = Vec::new();
     for name in file.names() {
-        let array = file.need(&[&name]).map_err(read)?;
+        let array = file.need(&[&name])?;
         if array.shape.len() > 1 {
-            pictures.extend(split(array).map_err(|what| wrong(&what))?);
+            pictures.extend(split(array).map_err(|what| PictureError::wrong(path, what))?);
         }
     }
     if pictures.is_empty() {

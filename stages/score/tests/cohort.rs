@@ -1,5 +1,7 @@
 //! Cohort selection: the rules on made-up episodes, the real manifest where it is there.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 use rogs_needs::{needs, shared};
 use rogs_random::Pcg64;
 use rogs_score::cohort::{

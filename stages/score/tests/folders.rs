@@ -1,5 +1,7 @@
 //! Scores of image files and folders.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 use image::{Rgb, RgbImage};
 use rogs_score::folders::{FolderError, score_paths};
 use rogs_score::metrics::{Pixels, RgbView, SsimVariant, psnr, ssim};

@@ -1,5 +1,7 @@
 //! The program `rogs-score` on a moving wall, see `support`.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 mod support;
 
 use support::{Bench, HEIGHT, WIDTH, clip};

@@ -33,9 +33,9 @@ pub enum Error {
         /// What is in the way.
         path: PathBuf,
     },
-    /// A file of the schemas crate could not be written.
+    /// A file could not be written.
     #[error(transparent)]
-    Schemas(#[from] rogs_schemas::Error),
+    File(#[from] rogs_files::Error),
     /// An image could not be encoded.
     #[error("cannot encode an image")]
     Image(#[from] image::ImageError),

@@ -29,7 +29,6 @@ mod frame;
 mod math;
 mod mesh;
 mod motion;
-mod npy;
 mod raycast;
 mod render;
 mod robot;

@@ -1,13 +1,13 @@
 //! Episodes on disk, in our own folder format (`docs/episode-format.md`).
 
 use std::fmt::Write as _;
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
+use rogs_arrays::{Scalar, le_bytes, npy_bytes, npy_header};
+use rogs_files::{Draft, DraftFile};
 use rogs_schemas::episode as layout;
 use rogs_schemas::records::clip::PROCEDURAL_NOTE;
 use serde::Serialize;
@@ -16,7 +16,6 @@ use crate::cameras::{CAMERA_NAMES, CAMERAS, EpisodeCamera, Mount};
 use crate::config::SynthConfig;
 use crate::episode::{Episode, generate_episode};
 use crate::error::{Error, Result};
-use crate::npy;
 use crate::render::View;
 use crate::robot::{ARM_JOINT_NAMES, FLANGE_LINK, ROBOT_URDF_FILE, Robot, write_robot};
 use crate::tracks::EpisodeTracks;
@@ -78,7 +77,9 @@ pub fn write_dataset_with(
     let seeds = first_seed..first_seed.saturating_add(u64::from(episodes));
     let root = folder.join(EPISODES_FOLDER);
     std::fs::create_dir_all(&root).map_err(|source| Error::io(&root, source))?;
-    rogs_schemas::atomic::sweep(folder)?;
+    for folder in [folder, &root] {
+        rogs_files::sweep(folder)?;
+    }
     let robot = folder.join(ROBOT_FOLDER);
     write_robot(&Robot::new(), &robot)?;
     let mut summary = DatasetSummary {
@@ -107,7 +108,7 @@ pub fn write_dataset_with(
         episodes,
         config,
     };
-    rogs_schemas::atomic::write_bytes(&folder.join(DATASET_FILE), &pretty(&about)?)?;
+    rogs_files::write_bytes(&folder.join(DATASET_FILE), &pretty(&about)?)?;
     Ok(summary)
 }
 
@@ -158,64 +159,22 @@ pub fn write_episode(place: &Path, episode: &Episode, model: &str) -> Result<()>
     if place.exists() {
         return Err(Error::Occupied { path: place.to_owned() });
     }
-    let name = place
-        .file_name()
-        .map_or_else(|| "episode".into(), |name| name.to_string_lossy());
-    let draft = place.with_file_name(format!(".{name}.tmp"));
-    // What an interrupted run left.
-    match std::fs::remove_dir_all(&draft) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(Error::io(&draft, error)),
-        _ => {}
-    }
-    for camera in CAMERA_NAMES {
-        let folder = draft.join(camera);
-        std::fs::create_dir_all(&folder).map_err(|source| Error::io(&folder, source))?;
-    }
-    for folder in [draft.join("depth"), draft.join("ids"), draft.join("tracks")] {
-        std::fs::create_dir_all(&folder).map_err(|source| Error::io(&folder, source))?;
-    }
+    let draft = Draft::begin(place)?;
     write_pictures(&draft, episode)?;
     let anchor = episode.config.anchor() as usize;
     let tracks = episode.tracks(&episode.render_cameras(anchor, &[0, 1, 2]));
-    write_tracks(&draft.join("tracks"), &tracks, episode.frame_count())?;
-    write_file(&draft.join("joints.csv"), states_csv(episode).as_bytes())?;
-    write_file(&draft.join(ORIGIN_FILE), &origin(episode.seed, &episode.config)?)?;
-    write_file(
-        &draft.join(layout::EPISODE_FILE),
-        &pretty(&description(episode, model))?,
-    )?;
-    std::fs::rename(&draft, place).map_err(|source| Error::io(place, source))
-}
-
-fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
-    let write = || {
-        let mut file = File::create(path)?;
-        file.write_all(bytes)?;
-        file.sync_all()
-    };
-    write().map_err(|source| Error::io(path, source))
+    write_tracks(&draft, &tracks, episode.frame_count())?;
+    draft.write("joints.csv", states_csv(episode).as_bytes())?;
+    draft.write(ORIGIN_FILE, &origin(episode.seed, &episode.config)?)?;
+    draft.write(layout::EPISODE_FILE, &pretty(&description(episode, model))?)?;
+    Ok(draft.publish()?)
 }
 
 /// Images, depth and ids; frames are drawn in parallel, files of arrays grow in the order of frames.
-fn write_pictures(draft: &Path, episode: &Episode) -> Result<()> {
+fn write_pictures(draft: &Draft, episode: &Episode) -> Result<()> {
     let frames = episode.frame_count();
-    let open = |folder: &str, kind: &str, camera: usize| -> Result<BufWriter<File>> {
-        let path = draft.join(folder).join(format!("{}.npy", CAMERA_NAMES[camera]));
-        let lens = &episode.cameras[camera].lens;
-        let shape = [frames, lens.height as usize, lens.width as usize];
-        let create = || {
-            let mut out = BufWriter::new(File::create(&path)?);
-            npy::write_header(&mut out, kind, &shape)?;
-            Ok(out)
-        };
-        create().map_err(|source| Error::io(&path, source))
-    };
-    let mut depths = (0..CAMERAS)
-        .map(|camera| open("depth", "<f4", camera))
-        .collect::<Result<Vec<_>>>()?;
-    let mut ids = (0..CAMERAS)
-        .map(|camera| open("ids", "|u1", camera))
-        .collect::<Result<Vec<_>>>()?;
+    let mut depths = create_arrays::<f32>(draft, "depth", episode)?;
+    let mut ids = create_arrays::<u8>(draft, "ids", episode)?;
     let batch = 2 * rayon::current_num_threads().max(1);
     for first in (0..frames).step_by(batch) {
         let drawn: Vec<Vec<View>> = (first..(first + batch).min(frames))
@@ -224,25 +183,35 @@ fn write_pictures(draft: &Path, episode: &Episode) -> Result<()> {
                 let views = episode.render_frame(frame).views;
                 for (camera, view) in views.iter().enumerate() {
                     let lens = &episode.cameras[camera].lens;
-                    let path = draft.join(CAMERA_NAMES[camera]).join(format!("{frame:06}.png"));
-                    write_file(&path, &png(&view.rgb, lens.width, lens.height)?)?;
+                    let name = format!("{}/{frame:06}.png", CAMERA_NAMES[camera]);
+                    draft.write(name, &png(&view.rgb, lens.width, lens.height)?)?;
                 }
                 Ok(views)
             })
             .collect::<Result<_>>()?;
         for views in &drawn {
             for (camera, view) in views.iter().enumerate() {
-                let written =
-                    npy::write_f32(&mut depths[camera], &view.depth_m).and_then(|()| ids[camera].write_all(&view.id));
-                written.map_err(|source| Error::io(draft, source))?;
+                depths[camera].append(&le_bytes(&view.depth_m))?;
+                ids[camera].append(&view.id)?;
             }
         }
     }
     for out in depths.into_iter().chain(ids) {
-        let file = out.into_inner().map_err(|error| Error::io(draft, error.into_error()))?;
-        file.sync_all().map_err(|source| Error::io(draft, source))?;
+        out.finish()?;
     }
     Ok(())
+}
+
+/// A file `FOLDER/CAMERA.npy` for every camera, for values `[F, H, W]` that follow frame by frame.
+fn create_arrays<T: Scalar>(draft: &Draft, folder: &str, episode: &Episode) -> Result<Vec<DraftFile>> {
+    let create = |(name, camera): (&str, &EpisodeCamera)| {
+        let lens = &camera.lens;
+        let shape = [episode.frame_count(), lens.height as usize, lens.width as usize];
+        let mut out = draft.create(format!("{folder}/{name}.npy"))?;
+        out.append(&npy_header::<T>(&shape))?;
+        Ok(out)
+    };
+    CAMERA_NAMES.into_iter().zip(&episode.cameras).map(create).collect()
 }
 
 fn png(rgb: &[u8], width: u32, height: u32) -> Result<Vec<u8>> {
@@ -252,28 +221,20 @@ fn png(rgb: &[u8], width: u32, height: u32) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-fn write_tracks(folder: &Path, tracks: &EpisodeTracks, frames: usize) -> Result<()> {
+fn write_tracks(draft: &Draft, tracks: &EpisodeTracks, frames: usize) -> Result<()> {
     let count = tracks.camera.len();
-    let write = |name: &str, kind: &str, shape: &[usize], fill: &dyn Fn(&mut Vec<u8>) -> std::io::Result<()>| {
-        let path = folder.join(name);
-        let mut bytes = Vec::new();
-        npy::write_header(&mut bytes, kind, shape)
-            .and_then(|()| fill(&mut bytes))
-            .map_err(|source| Error::io(&path, source))?;
-        write_file(&path, &bytes)
-    };
     let pixels: Vec<f32> = tracks.pixel.iter().flatten().map(|&p| p as f32 + 0.5).collect();
-    write("camera.npy", "<u4", &[count], &|out| {
-        npy::write_u32(out, &tracks.camera)
-    })?;
-    write("pixel.npy", "<f4", &[count, 2], &|out| npy::write_f32(out, &pixels))?;
-    write("position.npy", "<f4", &[count, frames, 3], &|out| {
-        npy::write_f32(out, &tracks.position_m)
-    })?;
-    write("visible.npy", "|u1", &[count, frames], &|out| {
-        out.write_all(&tracks.visible)
-    })?;
-    write("id.npy", "|u1", &[count], &|out| out.write_all(&tracks.id))
+    let files = [
+        ("camera", npy_bytes(&[count], &tracks.camera)),
+        ("pixel", npy_bytes(&[count, 2], &pixels)),
+        ("position", npy_bytes(&[count, frames, 3], &tracks.position_m)),
+        ("visible", npy_bytes(&[count, frames], &tracks.visible)),
+        ("id", npy_bytes(&[count], &tracks.id)),
+    ];
+    for (name, bytes) in files {
+        draft.write(format!("tracks/{name}.npy"), &bytes)?;
+    }
+    Ok(())
 }
 
 fn states_csv(episode: &Episode) -> String {

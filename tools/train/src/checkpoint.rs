@@ -74,7 +74,7 @@ impl RunFolder {
                 });
             }
         } else {
-            replace(&path, text.as_bytes())?;
+            rogs_files::write_bytes(&path, text.as_bytes())?;
         }
         Ok(folder)
     }
@@ -209,7 +209,7 @@ impl RunFolder {
                 of.is_some_and(|of| if evaluation { of <= step } else { of < step })
             };
             let kept: String = text.lines().filter(keep).flat_map(|line| [line, "\n"]).collect();
-            replace(&path, kept.as_bytes())?;
+            rogs_files::write_bytes(&path, kept.as_bytes())?;
         }
         Ok(())
     }
@@ -238,15 +238,6 @@ pub fn export(
     });
     write(path, metadata, element, tensors.collect())?;
     Ok(())
-}
-
-/// Replaces a small file in one step.
-pub(crate) fn replace(path: &Path, bytes: &[u8]) -> Result<()> {
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(format!(".{}.part", std::process::id()));
-    let beside = PathBuf::from(beside);
-    fs::write(&beside, bytes).map_err(Error::io(&beside))?;
-    fs::rename(&beside, path).map_err(Error::io(path))
 }
 
 /// Fingerprint of settings.

@@ -75,6 +75,15 @@ pub enum Error {
     Field(#[from] rogs_field::Error),
 }
 
+impl From<rogs_files::Error> for Error {
+    fn from(error: rogs_files::Error) -> Self {
+        Self::Io {
+            path: error.path,
+            source: error.source,
+        }
+    }
+}
+
 impl From<rogs_worker::StageError> for Error {
     fn from(error: rogs_worker::StageError) -> Self {
         Self::Stage(error.to_string())

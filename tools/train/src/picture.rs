@@ -22,10 +22,12 @@ impl Picture {
             path: path.to_owned(),
             reason,
         };
+        let mut png = std::io::Cursor::new(Vec::new());
         image::RgbImage::from_raw(self.width, self.height, self.rgb.clone())
             .ok_or_else(|| failed("the picture has another size than its pixels".into()))?
-            .save(path)
-            .map_err(|error| failed(error.to_string()))
+            .write_to(&mut png, image::ImageFormat::Png)
+            .map_err(|error| failed(error.to_string()))?;
+        Ok(rogs_files::write_bytes(path, png.get_ref())?)
     }
 }
 

@@ -6,7 +6,7 @@ use maud::{Markup, html};
 use rogs_pages::{Plot, PlotPoint, Series, picture};
 use serde_json::Value;
 
-use crate::checkpoint::{RunFolder, replace};
+use crate::checkpoint::RunFolder;
 use crate::error::{Error, Result};
 
 /// Points of a curve; longer series are averaged in bins.

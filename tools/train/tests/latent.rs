@@ -1,5 +1,7 @@
 //! Training of the latent adapter on records as a run has them.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 #[path = "support/latents.rs"]
 mod latents;
 mod support;

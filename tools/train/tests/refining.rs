@@ -1,5 +1,7 @@
 //! Training of Stage 2 on fields of a real Stage 1.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 use std::path::Path;
 
 use burn::tensor::Device;

@@ -1,5 +1,7 @@
 //! The training code and the pipeline's lifting stage are two programs of the same formulas: they must agree.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 use burn::tensor::Device;
 use rogs_lift::{ClipInputs, LiftParams, Model, lift_clip};
 use rogs_random::Pcg64;

@@ -1,5 +1,7 @@
 //! Training changes the network as its settings say, and a killed run goes on as if nothing had happened.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 #[path = "support/losses.rs"]
 mod losses;
 mod support;

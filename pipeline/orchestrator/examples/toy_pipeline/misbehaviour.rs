@@ -1,5 +1,7 @@
 //! What the words of an episode and tests make stages do besides their work.
 
+#![allow(clippy::disallowed_methods, reason = "files of examples may be left half-written")]
+
 use std::path::PathBuf;
 use std::time::Duration;
 

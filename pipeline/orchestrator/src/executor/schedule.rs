@@ -59,13 +59,13 @@ fn sweep(plan: &Plan, states: &[Vec<OutputState>]) -> Result<()> {
         if states.iter().all(|state| *state == OutputState::UpToDate) || !folder.is_dir() {
             continue;
         }
-        rogs_schemas::atomic::sweep(&folder)?;
+        rogs_files::sweep(&folder)?;
         for entry in std::fs::read_dir(&folder)
             .map_err(io("cannot list", &folder))?
             .flatten()
         {
             if entry.path().is_dir() {
-                rogs_schemas::atomic::sweep(&entry.path())?;
+                rogs_files::sweep(&entry.path())?;
             }
         }
     }

@@ -1,6 +1,6 @@
 //! `plan.jsonl`: a header line, then one line a clip.
 
-use std::io::{BufRead, BufReader, BufWriter, Write};
+use std::io::{BufRead, BufReader, Write as _};
 use std::path::Path;
 
 use super::model::{Clip, InputSource, NodeInput, PLAN_FORMAT, Plan};
@@ -16,17 +16,15 @@ impl Plan {
     /// When the folder cannot be made or written.
     pub fn freeze(&self) -> Result<()> {
         std::fs::create_dir_all(&self.run).map_err(io("cannot make the run folder", &self.run))?;
-        let fill = |file: &mut std::fs::File| {
-            let mut out = BufWriter::new(file);
-            serde_json::to_writer(&mut out, self)?;
+        rogs_files::write_with(&self.run.join(PLAN_FILE), |out| {
+            serde_json::to_writer(&mut *out, self)?;
             for clip in &self.clips {
                 out.write_all(b"\n")?;
-                serde_json::to_writer(&mut out, clip)?;
+                serde_json::to_writer(&mut *out, clip)?;
             }
-            out.write_all(b"\n")?;
-            out.flush()
-        };
-        Ok(rogs_schemas::atomic::write_with(&self.run.join(PLAN_FILE), fill)?)
+            out.write_all(b"\n")
+        })?;
+        Ok(())
     }
 }
 

@@ -73,13 +73,11 @@ pub fn submit(prepared: &Prepared, finally: Option<&[String]>, dry_run: bool) ->
     plan.freeze()?;
     let folder = plan.run.join(SLURM_FOLDER);
     std::fs::create_dir_all(folder.join("logs")).map_err(io("cannot make the folder", &folder))?;
-    rogs_schemas::atomic::write_with(&units_file(plan), |out| {
-        let mut out = std::io::BufWriter::new(out);
-        write_units(plan, submission.shard_count, &mut out)?;
-        std::io::Write::flush(&mut out)
+    rogs_files::write_with(&units_file(plan), |out| {
+        write_units(plan, submission.shard_count, out).map(|_| ())
     })?;
     for script in &submission.scripts {
-        rogs_schemas::atomic::write_bytes(&script.path, script.text.as_bytes())?;
+        rogs_files::write_bytes(&script.path, script.text.as_bytes())?;
     }
     let mut ids: Vec<String> = Vec::new();
     for (index, command) in submission.commands.iter_mut().enumerate() {

@@ -2,6 +2,7 @@
 //!
 //! Needs root and the packages `slurm-wlm slurm-wlm-basic-plugins munge` (the need `slurm` of `rogs-needs`); no systemd,
 //! control groups, database or accounts. Tests fail where the daemons do not come up.
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 #![allow(dead_code, unreachable_pub)]
 
 use std::path::{Path, PathBuf};

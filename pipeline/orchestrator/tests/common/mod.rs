@@ -1,4 +1,5 @@
 //! A folder with toy episodes and a manifest, and ways to run it, see `examples/toy_pipeline.rs`.
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 #![allow(dead_code, unreachable_pub)]
 
 use std::collections::BTreeMap;

@@ -150,6 +150,7 @@ pub(crate) fn read_capped(path: &Path, limit: u64) -> Result<Vec<u8>> {
 }
 
 #[cfg(test)]
+#[allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 mod tests {
     use super::*;
 

@@ -49,7 +49,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     )?;
     let mut text = serde_json::to_vec_pretty(&selection)?;
     text.push(b'\n');
-    rogs_schemas::atomic::write_bytes(&args.out, &text)?;
+    rogs_files::write_bytes(&args.out, &text)?;
     if args.json {
         output::json(&selection)?;
     } else {

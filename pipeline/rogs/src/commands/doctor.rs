@@ -163,17 +163,8 @@ fn folder(folder: &std::path::Path) -> Finding {
 
 /// Does what a run does with its outputs: write beside, flush, rename, flush the folder, lock.
 fn probe(folder: &std::path::Path) -> std::io::Result<()> {
-    let temporary = folder.join(format!(".rogs-doctor.{}.tmp", std::process::id()));
     let target = folder.join(format!(".rogs-doctor.{}", std::process::id()));
-    let attempt = || {
-        let file = std::fs::File::create_new(&temporary)?;
-        file.try_lock().map_err(std::io::Error::from)?;
-        file.sync_all()?;
-        std::fs::rename(&temporary, &target)?;
-        std::fs::File::open(folder)?.sync_all()
-    };
-    let result = attempt();
-    let _ = std::fs::remove_file(&temporary);
+    let written = rogs_files::write_with(&target, |file| file.get_ref().try_lock().map_err(std::io::Error::from));
     let _ = std::fs::remove_file(&target);
-    result
+    written.map_err(|error| error.source)
 }

@@ -28,7 +28,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let mut files = Vec::new();
     pages(&command, &mut |name, page| {
         let path = args.out.join(format!("{name}.1"));
-        rogs_schemas::atomic::write_bytes(&path, page)?;
+        rogs_files::write_bytes(&path, page)?;
         files.push(path);
         Ok(())
     })?;

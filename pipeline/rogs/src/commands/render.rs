@@ -1,11 +1,10 @@
 //! `rogs render`: a field at a time, or a 3DGS PLY, seen from any camera.
 
-mod npz;
-
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context as _, bail, ensure};
+use rogs_arrays::{NamedArray, write_exr, write_npz, write_png};
 use rogs_field::{Axes, TimedField, export_field_in};
 use rogs_geometry::{Base, Camera, Pinhole, Pose, PosedCamera, Recon};
 use rogs_schemas::records::field::Field;
@@ -249,7 +248,7 @@ fn render_scene(scene: &Scene, args: &ViewArgs, ply: Option<&WritePly<'_>>) -> a
         let mut files = write(args, spec, &view, scene.unit)?;
         if args.npz {
             let path = args.out.join(format!("{}.npz", spec.name));
-            write_npz(&path, &posed, &view, scene).with_context(|| format!("writing `{}`", path.display()))?;
+            write_numbers(&path, &posed, &view, scene)?;
             files.push(path);
         }
         rendered.push(Rendered {
@@ -333,29 +332,29 @@ fn camera(spec: &CameraSpec, scene: &Scene) -> anyhow::Result<(PosedCamera<Recon
 }
 
 /// All numbers of a view: images of f32, `[H, W]` or `[H, W, 3]`, and the camera in f64.
-fn write_npz(path: &Path, camera: &PosedCamera<Recon>, view: &Render, scene: &Scene) -> std::io::Result<()> {
+fn write_numbers(path: &Path, camera: &PosedCamera<Recon>, view: &Render, scene: &Scene) -> rogs_files::Result<()> {
     let (height, width) = (view.height, view.width);
     let depth: Vec<f32> = metres(&view.depth_expected, scene.unit);
     let Intrinsics { fx, fy, cx, cy } = camera.lens.intrinsics;
     let mut arrays = vec![
-        npz::Array::f32("rgb", &[height, width, 3], &view.rgb),
-        npz::Array::f32("alpha", &[height, width], &view.alpha),
-        npz::Array::f32("depth", &[height, width], &depth),
+        NamedArray::new("rgb", &[height, width, 3], &view.rgb),
+        NamedArray::new("alpha", &[height, width], &view.alpha),
+        NamedArray::new("depth", &[height, width], &depth),
     ];
     if view.extra_channels == 3 {
-        arrays.push(npz::Array::f32("displacement", &[height, width, 3], &view.extra));
+        arrays.push(NamedArray::new("displacement", &[height, width, 3], &view.extra));
     }
     let matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0];
-    arrays.push(npz::Array::f64("intrinsics", &[3, 3], &matrix));
-    arrays.push(npz::Array::f64(
+    arrays.push(NamedArray::new("intrinsics", &[3, 3], &matrix));
+    arrays.push(NamedArray::new(
         "recon_from_camera",
         &[4, 4],
         &camera.world_from_camera.to_matrix4(),
     ));
     if let Some(time) = scene.time {
-        arrays.push(npz::Array::f64("time", &[], &[time]));
+        arrays.push(NamedArray::new("time", &[], &[time]));
     }
-    npz::write(path, &arrays)
+    write_npz(path, &arrays)
 }
 
 fn metres(depth: &[f32], unit: LengthUnit) -> Vec<f32> {
@@ -370,13 +369,11 @@ fn write(args: &ViewArgs, spec: &CameraSpec, view: &Render, unit: LengthUnit) ->
         .iter()
         .map(|value| (value.clamp(0.0, 1.0) * 255.0).round() as u8)
         .collect();
-    image::save_buffer(&png, &bytes, spec.width, spec.height, image::ExtendedColorType::Rgb8)
-        .with_context(|| format!("writing `{}`", png.display()))?;
+    write_png(&png, (spec.width, spec.height), &bytes)?;
     files.push(png);
     let mut plane = |kind: &str, channel: &str, values: Vec<f32>| -> anyhow::Result<()> {
         let path = args.out.join(format!("{}.{kind}.exr", spec.name));
-        write_exr(&path, spec.width as usize, spec.height as usize, channel, values)
-            .with_context(|| format!("writing `{}`", path.display()))?;
+        write_exr(&path, (spec.width as usize, spec.height as usize), channel, values)?;
         files.push(path);
         Ok(())
     };
@@ -387,21 +384,4 @@ fn write(args: &ViewArgs, spec: &CameraSpec, view: &Render, unit: LengthUnit) ->
         plane("alpha", "A", view.alpha.clone())?;
     }
     Ok(files)
-}
-
-/// One channel of f32 values, ZIP compressed.
-fn write_exr(path: &Path, width: usize, height: usize, channel: &str, values: Vec<f32>) -> exr::error::UnitResult {
-    use exr::prelude::*;
-
-    let channel = AnyChannel::new(channel, FlatSamples::F32(values));
-    let layer = Layer::new(
-        (width, height),
-        LayerAttributes::default(),
-        Encoding {
-            compression: Compression::ZIP16,
-            ..Encoding::default()
-        },
-        AnyChannels::sort(std::iter::once(channel).collect()),
-    );
-    Image::from_layer(layer).write().to_file(path)
 }

@@ -94,10 +94,10 @@ pub(crate) fn make(
             (LIFT_WEIGHTS, rogs_lift::COMPACT_WEIGHTS),
             (REFINE_WEIGHTS, rogs_refine::CI_WEIGHTS),
         ] {
-            rogs_schemas::atomic::write_bytes(&folder.join(weights), bytes)?;
+            rogs_files::write_bytes(&folder.join(weights), bytes)?;
         }
         let text = manifest_text(folder, name, size)?;
-        rogs_schemas::atomic::write_bytes(&manifest, text.as_bytes())?;
+        rogs_files::write_bytes(&manifest, text.as_bytes())?;
     }
     Ok((summary, manifest))
 }

@@ -10,8 +10,10 @@ use serde::Deserialize;
 
 use super::calibration_names;
 use crate::calibration::Calibration;
-use crate::checks::{self, inside, read_text, wrong};
+use crate::checks;
+use crate::fault::{inside, io_error, read_text, wrong};
 use crate::images::FrameSource;
+use crate::media::VideoInfo;
 use crate::source::{Source, SourceCamera, States};
 use crate::video;
 
@@ -79,7 +81,7 @@ fn subfolders(folder: &Path) -> StageResult<Vec<(String, PathBuf)>> {
 }
 
 fn file_names(folder: &Path) -> StageResult<Vec<String>> {
-    let entries = std::fs::read_dir(folder).map_err(|error| checks::io_error(folder, &error))?;
+    let entries = std::fs::read_dir(folder).map_err(|error| io_error(folder, &error))?;
     let mut names: Vec<String> = entries
         .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
         .collect();
@@ -116,36 +118,12 @@ pub(crate) fn open(root: &Path, calibration: Option<Calibration>, selector: &str
         }
     };
     let episode_id = checks::episode_id(&annotation.episode_id.text(), &path)?;
-    let mut warnings = Vec::new();
     let states = states(&annotation, &path)?;
     let frame_count = annotation.video_length;
-    let mut cameras = Vec::new();
+    let (mut cameras, mut warnings) = (Vec::new(), Vec::new());
     let mut fps: Option<f64> = None;
     for (id, index) in CAMERAS {
-        if index >= annotation.videos.len() {
-            return Err(wrong(
-                &path,
-                format!(
-                    "it names {} videos, camera `{id}` is number {index}",
-                    annotation.videos.len()
-                ),
-            ));
-        }
-        let file = root.join(video_file(root, &path, &annotation, &selector, index)?);
-        let info = video::probe(&file)?;
-        // The authors' rig writes one video frame more than states now and then; the last one is not used then.
-        let surplus = annotation.raw_length.is_none() && info.frames == u64::from(frame_count) + 1;
-        if surplus {
-            warnings.push(format!(
-                "`{}` has one frame more than states; it is not used",
-                file.display()
-            ));
-        } else if info.frames != u64::from(frame_count) {
-            return Err(wrong(
-                &file,
-                format!("it has {} frames, the annotation {frame_count}", info.frames),
-            ));
-        }
+        let (file, info) = open_video(root, &path, &annotation, &selector, (id, index), &mut warnings)?;
         if *fps.get_or_insert(info.fps) != info.fps {
             warnings.push(format!(
                 "`{}` runs at {} frames per second, another video at {fps:?}",
@@ -153,36 +131,7 @@ pub(crate) fn open(root: &Path, calibration: Option<Calibration>, selector: &str
                 info.fps
             ));
         }
-        let size = (info.width, info.height);
-        let names = calibration_names(id, &format!("{index}"));
-        let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        let missing = || {
-            let text = format!(
-                "the calibration has no camera `{id}` (it has {})",
-                calibration.cameras().join(", ")
-            );
-            wrong(&path, text).with_hint("docs/calibration-format.md says what an entry looks like")
-        };
-        let calibrated = calibration.camera(&names, size)?.ok_or_else(missing)?;
-        let mount = calibrated
-            .mount
-            .ok_or_else(|| wrong(&path, format!("the calibration gives no pose of camera `{id}`")))?;
-        cameras.push(SourceCamera {
-            id: id.to_owned(),
-            role: CameraRole::Source,
-            partner: None,
-            width: info.width,
-            height: info.height,
-            intrinsics: calibrated.intrinsics,
-            pixel_shift: 0.5,
-            mount,
-            images: Some(FrameSource::Video {
-                path: file,
-                info,
-                first: 0,
-            }),
-            depth: None,
-        });
+        cameras.push(camera((id, index), &calibration, file, info, &path)?);
     }
     // DROID copies hold every third frame of 15 Hz; the rig of the authors has the rate of its video header.
     let fps = match (annotation.raw_length, fps) {
@@ -202,6 +151,77 @@ pub(crate) fn open(root: &Path, calibration: Option<Calibration>, selector: &str
         tracks: None,
         cameras_chosen: false,
         warnings,
+    })
+}
+
+/// The video of a camera, which must have the frames of the annotation.
+fn open_video(
+    root: &Path,
+    path: &Path,
+    annotation: &Annotation,
+    selector: &str,
+    (id, index): (&str, usize),
+    warnings: &mut Vec<String>,
+) -> StageResult<(PathBuf, VideoInfo)> {
+    let videos = annotation.videos.len();
+    if index >= videos {
+        let text = format!("it names {videos} videos, camera `{id}` is number {index}");
+        return Err(wrong(path, text));
+    }
+    let file = root.join(video_file(root, path, annotation, selector, index)?);
+    let info = video::probe(&file)?;
+    let frame_count = u64::from(annotation.video_length);
+    // The authors' rig writes one video frame more than states now and then; the last one is not used then.
+    if annotation.raw_length.is_none() && info.frames == frame_count + 1 {
+        warnings.push(format!(
+            "`{}` has one frame more than states; it is not used",
+            file.display()
+        ));
+    } else if info.frames != frame_count {
+        let text = format!("it has {} frames, the annotation {frame_count}", info.frames);
+        return Err(wrong(&file, text));
+    }
+    Ok((file, info))
+}
+
+/// A source camera with its video; `path` is the annotation, for messages.
+fn camera(
+    (id, index): (&str, usize),
+    calibration: &Calibration,
+    file: PathBuf,
+    info: VideoInfo,
+    path: &Path,
+) -> StageResult<SourceCamera> {
+    let names = calibration_names(id, &index.to_string());
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let missing = || {
+        let text = format!(
+            "the calibration has no camera `{id}` (it has {})",
+            calibration.cameras().join(", ")
+        );
+        wrong(path, text).with_hint("docs/calibration-format.md says what an entry looks like")
+    };
+    let calibrated = calibration
+        .camera(&names, (info.width, info.height))?
+        .ok_or_else(missing)?;
+    let mount = calibrated
+        .mount
+        .ok_or_else(|| wrong(path, format!("the calibration gives no pose of camera `{id}`")))?;
+    Ok(SourceCamera {
+        id: id.to_owned(),
+        role: CameraRole::Source,
+        partner: None,
+        width: info.width,
+        height: info.height,
+        intrinsics: calibrated.intrinsics,
+        pixel_shift: 0.5,
+        mount,
+        images: Some(FrameSource::Video {
+            path: file,
+            info,
+            first: 0,
+        }),
+        depth: None,
     })
 }
 

@@ -7,7 +7,7 @@ use rogs_worker::{StageError, StageResult};
 use serde::Deserialize;
 
 use super::parquet_table::Table;
-use crate::checks::{read_text, wrong};
+use crate::fault::{read_text, wrong};
 
 /// Longest file of the metadata, bytes.
 const MAX_JSON: u64 = 256 << 20;
@@ -271,7 +271,7 @@ impl Dataset {
 }
 
 fn sorted(folder: &Path) -> StageResult<Vec<PathBuf>> {
-    let entries = std::fs::read_dir(folder).map_err(|error| crate::checks::io_error(folder, &error))?;
+    let entries = std::fs::read_dir(folder).map_err(|error| io_error(folder, &error))?;
     let mut paths: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
     paths.sort();
     Ok(paths)

@@ -11,7 +11,7 @@ use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use rogs_worker::StageResult;
 
-use crate::checks::{io_error, wrong};
+use crate::fault::{io_error, wrong};
 
 /// Most numbers read from one column.
 const MAX_VALUES: u64 = 1 << 28;

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
+use rogs_arrays::{ANY, NpyFile};
 use rogs_schemas::Intrinsics;
 use rogs_schemas::episode::{
     EPISODE_FILE, EPISODE_FORMAT, Episode, EpisodeCamera, EpisodeCameraRole, EpisodeMount, EpisodeRobot, EpisodeTracks,
@@ -12,9 +13,10 @@ use rogs_schemas::records::clip::CameraRole;
 use rogs_worker::StageResult;
 
 use crate::calibration::Calibration;
-use crate::checks::{self, inside, read_text, wrong};
+use crate::checks;
+use crate::depth::open_floats;
+use crate::fault::{inside, read_text, unreadable, wrong};
 use crate::images::FrameSource;
-use crate::npy::Npy;
 use crate::source::{Source, SourceCamera, SourceDepth, SourceMount, SourceTracks, States};
 
 /// Longest `episode.json`, bytes.
@@ -174,10 +176,7 @@ fn open_camera(
 }
 
 fn read_trajectory(path: &Path, frames: u32) -> StageResult<SourceMount> {
-    let mut array = Npy::open(path)?;
-    array.expect_shape(&[Some(u64::from(frames)), Some(4), Some(4)])?;
-    array.expect_floats()?;
-    let values = array.all()?;
+    let values = open_floats(path, &[frames as usize, 4, 4])?.all().map_err(unreadable)?;
     let pose = |(frame, matrix): (usize, &[f64; 16])| {
         let rows = [0, 4, 8, 12].map(|row| [matrix[row], matrix[row + 1], matrix[row + 2], matrix[row + 3]]);
         checks::rigid_pose(&rows, &format!("the pose at frame {frame}"), path)
@@ -268,17 +267,17 @@ fn read_states(
 }
 
 fn read_tracks(root: &Path, json: &Path, tracks: &EpisodeTracks, frames: u32) -> StageResult<SourceTracks> {
-    let array = |name: &str, shape: &[Option<u64>]| {
+    let array = |name: &str, shape: &[usize]| {
         let path = inside(root, name, json)?;
-        let mut array = Npy::open(&path)?;
-        array.expect_shape(shape)?;
-        StageResult::Ok((array.all()?, path))
+        let mut array = NpyFile::open(&path).map_err(unreadable)?;
+        array.expect_shape(shape).map_err(unreadable)?;
+        StageResult::Ok((array.all().map_err(unreadable)?, path))
     };
-    let (camera, camera_path) = array(&tracks.camera, &[None])?;
-    let count = Some(camera.len() as u64);
-    let (pixel, _) = array(&tracks.pixel, &[count, Some(2)])?;
-    let (position, _) = array(&tracks.position_m, &[count, Some(u64::from(frames)), Some(3)])?;
-    let (visible, visible_path) = array(&tracks.visible, &[count, Some(u64::from(frames))])?;
+    let (camera, camera_path) = array(&tracks.camera, &[ANY])?;
+    let (count, moments) = (camera.len(), frames as usize);
+    let (pixel, _) = array(&tracks.pixel, &[count, 2])?;
+    let (position, _) = array(&tracks.position_m, &[count, moments, 3])?;
+    let (visible, visible_path) = array(&tracks.visible, &[count, moments])?;
     if let Some(index) = camera
         .iter()
         .position(|value| value.fract() != 0.0 || !(0.0..256.0).contains(value))

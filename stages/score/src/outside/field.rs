@@ -8,13 +8,13 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
+use rogs_arrays::ArrayFile;
 use rogs_field::ply::read_ply_file;
 use rogs_geometry::{Base, Camera, Frame, Pose, Similarity};
 use rogs_schemas::RigidPose;
 use rogs_splat::Gaussians;
 use serde::{Deserialize, Serialize};
 
-use crate::outside::arrays::ArrayFile;
 use crate::outside::{
     MotionBasisField, MotionBasisParts, OutsideError, PolynomialField, SampledField, merge, transformed,
 };

@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use rogs_arrays::ArrayFile;
+
 use crate::outside::OutsideError;
-use crate::outside::arrays::ArrayFile;
 use crate::outside::sampled::frames;
 
 /// Images of all cameras at some clip frames, from `images.npz` or `images.safetensors`.

@@ -5,7 +5,6 @@
 //!
 //! Lengths are metres; a state at a time is a plain set of Gaussians that the same rasteriser renders.
 
-mod arrays;
 mod field;
 mod harmonics;
 mod images;
@@ -14,11 +13,9 @@ mod motion_basis;
 mod polynomial;
 mod recentre;
 mod sampled;
-mod zip;
 
 use std::path::{Path, PathBuf};
 
-pub use arrays::{Array, ArrayFile, Values};
 pub use field::{FieldFrame, OutsideField};
 pub use images::{CameraImages, ImagePredictions};
 pub use merge::{merge, stereo_scale, transformed};
@@ -68,6 +65,12 @@ pub enum OutsideError {
         /// What is wrong with it.
         what: String,
     },
+}
+
+impl From<rogs_arrays::Error> for OutsideError {
+    fn from(error: rogs_arrays::Error) -> Self {
+        Self::file(&error.path, error.problem.to_string())
+    }
 }
 
 impl OutsideError {

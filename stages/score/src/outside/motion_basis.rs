@@ -1,10 +1,10 @@
 //! Gaussians moved by shared rigid motions: the fields of Shape of Motion (`docs/spec/baseline-som.md` section 5).
 
 use glam::{DMat3, DVec3, Vec3};
+use rogs_arrays::{ANY, Array, ArrayFile};
 use rogs_geometry::{quaternion, quaternion_product, wxyz_f32};
 use rogs_splat::{Colour, Gaussians};
 
-use crate::outside::arrays::{Array, ArrayFile};
 use crate::outside::{OutsideError, expect};
 
 /// Raw parameters as the checkpoint has them.
@@ -48,7 +48,7 @@ impl MotionBasisParts {
             Ok(values)
         };
         let rotations = need("motion_bases.params.rots")?;
-        rotations.expect_shape(file.path(), &[&[0, 0, 6]])?;
+        rotations.expect_shape(file.path(), &[&[ANY, ANY, 6]])?;
         Ok(Self {
             bases: rotations.shape[0],
             frames: rotations.shape[1],

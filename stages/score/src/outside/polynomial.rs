@@ -1,9 +1,9 @@
 //! Gaussians that move along polynomials of time and fade in and out: the fields of 4DGT (`docs/spec/baseline-4dgt.md` section 8).
 
+use rogs_arrays::ArrayFile;
 use rogs_geometry::quaternion_product;
 use rogs_splat::{Colour, Gaussians};
 
-use crate::outside::arrays::ArrayFile;
 use crate::outside::{OutsideError, expect};
 
 /// Temporal weight at or below which a Gaussian is not rendered.

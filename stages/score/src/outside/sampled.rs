@@ -1,9 +1,9 @@
 //! Gaussians given at a list of clip frames: the plainest form of a moving field.
 
+use rogs_arrays::{ANY, ArrayFile};
 use rogs_splat::{Colour, Gaussians};
 
 use crate::outside::OutsideError;
-use crate::outside::arrays::ArrayFile;
 
 /// Most Gaussians of one field.
 const MAX_GAUSSIANS: usize = 1 << 27;
@@ -130,7 +130,7 @@ impl SampledField {
 /// The array `frames`: clip frames, each once.
 pub(crate) fn frames(file: &ArrayFile) -> Result<Vec<u32>, OutsideError> {
     let array = file.need(&["frames"])?;
-    array.expect_shape(file.path(), &[&[0]])?;
+    array.expect_shape(file.path(), &[&[ANY]])?;
     let frames: Vec<u32> = array.into_floats().into_iter().map(|frame| frame as u32).collect();
     let mut sorted = frames.clone();
     sorted.sort_unstable();

@@ -1,6 +1,7 @@
 //! A small scene whose scores are known, and a way to run the program `rogs-score` on it: a wall one metre in front of the
 //! wrist camera that moves sideways, half a centimetre a frame.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 #![allow(dead_code)] // Every test program uses a part.
 
 use std::collections::BTreeMap;

@@ -3,7 +3,6 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use rogs_schemas::atomic;
 use serde_json::json;
 
 use super::{ARM_LIMITS, FINGER_CLOSED, Link, Motion, Robot};
@@ -27,12 +26,12 @@ pub fn write_robot(robot: &Robot, folder: &Path) -> Result<()> {
     let meshes = folder.join("meshes");
     std::fs::create_dir_all(&meshes).map_err(|source| Error::io(&meshes, source))?;
     for link in &robot.links {
-        atomic::write_bytes(&meshes.join(format!("{}.glb", link.name)), &glb(&link.mesh, link.name)?)?;
+        rogs_files::write_bytes(&meshes.join(format!("{}.glb", link.name)), &glb(&link.mesh, link.name)?)?;
     }
-    atomic::write_bytes(&folder.join(ROBOT_URDF_FILE), urdf(robot).as_bytes())?;
+    rogs_files::write_bytes(&folder.join(ROBOT_URDF_FILE), urdf(robot).as_bytes())?;
     let mut spec = serde_json::to_string_pretty(&robot.spec()).map_err(Error::json)?;
     spec.push('\n');
-    atomic::write_bytes(&folder.join(ROBOT_SPEC_FILE), spec.as_bytes())?;
+    rogs_files::write_bytes(&folder.join(ROBOT_SPEC_FILE), spec.as_bytes())?;
     Ok(())
 }
 

@@ -1,6 +1,8 @@
 //! A run on disk with latents. These are made from the images here: what a tokenizer would say is nothing that this repository
 //! can make.
 
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
 use std::collections::BTreeMap;
 use std::path::Path;
 

@@ -150,8 +150,7 @@ impl Download {
             );
         }
         let bytes = length(&part);
-        std::fs::rename(&part, &self.destination)
-            .with_context(|| format!("naming `{}`", self.destination.display()))?;
+        rogs_files::rename(&part, &self.destination)?;
         let _ = std::fs::remove_file(&tag);
         Ok(Fetched {
             bytes,
@@ -247,7 +246,7 @@ impl Download {
             .filter(|tag| !tag.starts_with("W/"))
             .unwrap_or_default();
         let file = || -> std::io::Result<File> {
-            std::fs::write(tag, strong)?;
+            rogs_files::write_bytes(tag, strong.as_bytes())?;
             let file = OpenOptions::new().create(true).append(true).open(part)?;
             file.set_len(there)?;
             Ok(file)

@@ -1,3 +1,4 @@
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::net::{TcpListener, TcpStream};
 use std::sync::{Arc, Mutex};

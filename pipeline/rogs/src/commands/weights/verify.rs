@@ -222,6 +222,7 @@ fn finish(
 }
 
 #[cfg(test)]
+#[allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 mod tests {
     use super::*;
     use rogs_weights::{ElementType, TensorSource, write};

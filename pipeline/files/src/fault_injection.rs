@@ -1,7 +1,8 @@
 //! Faults for tests: lets the n-th file operation of a process fail, or lets the process die at it.
 //!
-//! Off, and then one load of an atomic an operation, unless the environment variable `ROGS_FAULTS` is set when the
-//! process begins. Its value is a list of `KIND[@PART]:N[+]=WHAT`, separated by commas:
+//! Only with the cargo feature `fault-injection`, which tests turn on; without it [`at`] always succeeds. With it
+//! nothing happens unless the environment variable `ROGS_FAULTS` is set when the process begins. Its value is a list of
+//! `KIND[@PART]:N[+]=WHAT`, separated by commas:
 //!
 //! | word | meaning |
 //! |---|---|
@@ -17,6 +18,44 @@ use std::path::Path;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+/// A file operation that can be made to fail.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Operation {
+    /// Opening a container for reading.
+    Open,
+    /// Creating a temporary file.
+    Create,
+    /// Writing to it.
+    Write,
+    /// Writing all of it: half of it stays.
+    Short,
+    /// Flushing it to disk.
+    Sync,
+    /// Renaming it to its place.
+    Rename,
+    /// Flushing the entries of a folder.
+    Folder,
+    /// Adding a line to a log.
+    Append,
+}
+
+impl Operation {
+    /// The word for it in `ROGS_FAULTS`.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Open => "open",
+            Self::Create => "create",
+            Self::Write => "write",
+            Self::Short => "short",
+            Self::Sync => "sync",
+            Self::Rename => "rename",
+            Self::Folder => "folder",
+            Self::Append => "append",
+        }
+    }
+}
+
 /// One entry of the list.
 #[derive(Debug)]
 struct Fault {
@@ -28,24 +67,26 @@ struct Fault {
     seen: AtomicU64,
 }
 
-static FAULTS: OnceLock<Vec<Fault>> = OnceLock::new();
-
 /// Fails when the environment wants this operation on this path to fail.
 ///
 /// # Errors
-/// The error that was asked for.
-pub(crate) fn at(kind: &str, path: &Path) -> Result<()> {
+/// The error that was asked for; none without the feature `fault-injection`.
+pub fn at(operation: Operation, path: &Path) -> Result<()> {
+    static FAULTS: OnceLock<Vec<Fault>> = OnceLock::new();
+    if !cfg!(feature = "fault-injection") {
+        return Ok(());
+    }
     let faults = FAULTS.get_or_init(|| parse(&std::env::var("ROGS_FAULTS").unwrap_or_default()));
     if faults.is_empty() {
         return Ok(());
     }
-    strike(faults, kind, path)
+    strike(faults, operation, path)
 }
 
 #[cold]
-fn strike(faults: &[Fault], kind: &str, path: &Path) -> Result<()> {
+fn strike(faults: &[Fault], operation: Operation, path: &Path) -> Result<()> {
     for fault in faults {
-        if fault.kind != kind || !path.to_string_lossy().contains(&fault.part) {
+        if fault.kind != operation.name() || !path.to_string_lossy().contains(&fault.part) {
             continue;
         }
         let seen = 1 + fault.seen.fetch_add(1, Ordering::SeqCst);
@@ -53,7 +94,7 @@ fn strike(faults: &[Fault], kind: &str, path: &Path) -> Result<()> {
             continue;
         }
         if let Some(log) = std::env::var_os("ROGS_FAULTS_LOG") {
-            let line = format!("{kind} {} {}\n", fault.what, path.display());
+            let line = format!("{} {} {}\n", operation.name(), fault.what, path.display());
             let file = std::fs::OpenOptions::new().create(true).append(true).open(log);
             let _ = file.and_then(|mut file| std::io::Write::write_all(&mut file, line.as_bytes()));
         }
@@ -97,12 +138,16 @@ mod tests {
         let faults = parse("rename@field:2=ENOSPC,sync:1+=EIO,nonsense");
         assert_eq!(faults.len(), 2);
         let (field, clip) = (Path::new("a/field-1.r4c"), Path::new("a/clip.r4c"));
-        let number = |kind: &str, path: &Path| strike(&faults, kind, path).err().and_then(|error| error.raw_os_error());
-        assert_eq!(number("rename", field), None);
-        assert_eq!(number("rename", clip), None, "another file is not counted");
-        assert_eq!(number("rename", field), Some(libc::ENOSPC));
-        assert_eq!(number("rename", field), None);
-        assert_eq!(number("sync", clip), Some(libc::EIO));
-        assert_eq!(number("sync", field), Some(libc::EIO));
+        let number = |operation, path: &Path| {
+            strike(&faults, operation, path)
+                .err()
+                .and_then(|error| error.raw_os_error())
+        };
+        assert_eq!(number(Operation::Rename, field), None);
+        assert_eq!(number(Operation::Rename, clip), None, "another file is not counted");
+        assert_eq!(number(Operation::Rename, field), Some(libc::ENOSPC));
+        assert_eq!(number(Operation::Rename, field), None);
+        assert_eq!(number(Operation::Sync, clip), Some(libc::EIO));
+        assert_eq!(number(Operation::Sync, field), Some(libc::EIO));
     }
 }

@@ -1,13 +1,14 @@
 //! The part of the ZIP format that `.npz` files use: stored and deflated members, ZIP64 sizes, checksums.
 //!
-//! Nothing is allocated beyond what the file's length, the member's declared size and [`MAX_MEMBER`] allow.
+//! Nothing is allocated beyond what the file's length, the member's declared size and [`MAX_MEMBER`] allow. Written
+//! archives are plainer: [`write_npz`](crate::write_npz).
 
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use crate::outside::OutsideError;
+use crate::error::{Error, Result};
 
 /// Largest member that is read, bytes.
 const MAX_MEMBER: u64 = 1 << 33;
@@ -38,17 +39,17 @@ pub(crate) struct Zip {
 
 impl Zip {
     /// Reads the directory of an archive.
-    pub(crate) fn open(path: &Path) -> Result<Self, OutsideError> {
+    pub(crate) fn open(path: &Path) -> Result<Self> {
         let mut zip = Self {
             path: path.to_owned(),
             length: 0,
             members: BTreeMap::new(),
         };
         let mut file = zip.file()?;
-        zip.length = file.metadata().map_err(|error| zip.io(&error))?.len();
+        zip.length = file.metadata().map_err(|error| zip.io(error))?.len();
         let tail_at = zip.length.saturating_sub(MAX_TAIL);
         let tail = zip.bytes(&mut file, tail_at, zip.length - tail_at)?;
-        let end = (0..=tail.len().saturating_sub(END_LENGTH))
+        let end = (0..(tail.len() + 1).saturating_sub(END_LENGTH))
             .rev()
             .find(|&at| tail[at..].starts_with(b"PK\x05\x06"))
             .ok_or_else(|| zip.damaged("it has no directory: the file is cut off or no `.npz`"))?;
@@ -79,7 +80,7 @@ impl Zip {
     }
 
     /// The bytes of a member; `None` when there is none of this name.
-    pub(crate) fn read(&self, name: &str) -> Result<Option<Vec<u8>>, OutsideError> {
+    pub(crate) fn read(&self, name: &str) -> Result<Option<Vec<u8>>> {
         let Some(&member) = self.members.get(name) else {
             return Ok(None);
         };
@@ -106,7 +107,7 @@ impl Zip {
         Ok(Some(bytes))
     }
 
-    fn read_directory(&mut self, directory: &[u8], count: u64) -> Result<(), OutsideError> {
+    fn read_directory(&mut self, directory: &[u8], count: u64) -> Result<()> {
         let mut rest = directory;
         for _ in 0..count {
             if rest.len() < 46 || !rest.starts_with(b"PK\x01\x02") {
@@ -136,26 +137,26 @@ impl Zip {
         Ok(())
     }
 
-    fn file(&self) -> Result<File, OutsideError> {
-        File::open(&self.path).map_err(|error| self.io(&error))
+    fn file(&self) -> Result<File> {
+        File::open(&self.path).map_err(|error| self.io(error))
     }
 
-    fn bytes(&self, file: &mut File, at: u64, length: u64) -> Result<Vec<u8>, OutsideError> {
+    fn bytes(&self, file: &mut File, at: u64, length: u64) -> Result<Vec<u8>> {
         if at.checked_add(length).is_none_or(|end| end > self.length) {
             return Err(self.damaged("it is cut off, or its directory points beyond its end"));
         }
-        file.seek(SeekFrom::Start(at)).map_err(|error| self.io(&error))?;
+        file.seek(SeekFrom::Start(at)).map_err(|error| self.io(error))?;
         let mut bytes = vec![0; length as usize];
-        file.read_exact(&mut bytes).map_err(|error| self.io(&error))?;
+        file.read_exact(&mut bytes).map_err(|error| self.io(error))?;
         Ok(bytes)
     }
 
-    fn io(&self, error: &std::io::Error) -> OutsideError {
-        OutsideError::file(&self.path, error.to_string())
+    fn io(&self, error: std::io::Error) -> Error {
+        Error::io(&self.path, error)
     }
 
-    fn damaged(&self, what: &str) -> OutsideError {
-        OutsideError::file(&self.path, what.to_owned())
+    fn damaged(&self, what: &str) -> Error {
+        Error::wrong(&self.path, what)
     }
 }
 
@@ -185,4 +186,46 @@ fn u32_at(bytes: &[u8], at: usize) -> u32 {
 
 fn u64_at(bytes: &[u8], at: usize) -> u64 {
     u64::from(u32_at(bytes, at)) | u64::from(u32_at(bytes, at + 4)) << 32
+}
+
+#[cfg(test)]
+#[allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+mod tests {
+    use super::*;
+    use crate::{NamedArray, write_npz};
+
+    #[test]
+    fn damaged_archives_are_an_error_never_a_panic() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.npz");
+        let arrays = [
+            NamedArray::new("frames", &[3], &[0_u32, 8, 16]),
+            NamedArray::new("means", &[2, 3], &[0.5_f32; 6]),
+        ];
+        write_npz(&path, &arrays).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        let read = || -> Result<usize> {
+            let zip = Zip::open(&path)?;
+            let names: Vec<String> = zip.names().map(str::to_owned).collect();
+            names.iter().try_for_each(|name| zip.read(name).map(|_| ()))?;
+            Ok(names.len())
+        };
+        assert_eq!(read().unwrap(), 2);
+        for length in 0..whole.len() {
+            std::fs::write(&path, &whole[..length]).unwrap();
+            assert!(read().is_err(), "cut to {length} bytes");
+        }
+        let mut refused = 0;
+        for at in 0..whole.len() {
+            for bits in [0xff, 0x80, 0x01] {
+                let mut bytes = whole.clone();
+                bytes[at] ^= bits;
+                std::fs::write(&path, bytes).unwrap();
+                refused += usize::from(read().is_err());
+            }
+        }
+        assert!(refused > whole.len(), "only {refused} damaged archives were refused");
+        std::fs::write(&path, b"PK\x05\x06").unwrap();
+        assert!(Zip::open(&path).unwrap_err().to_string().contains("no directory"));
+    }
 }

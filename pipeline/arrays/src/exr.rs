@@ -1,14 +1,19 @@
-//! Reading of flat OpenEXR images that users hand in: one part, one value a pixel and channel.
+//! Flat OpenEXR images: one part, one value a pixel and channel.
 //!
 //! A header may announce any size. What it says is bounded, and shown to the caller, before anything is allocated for pixels.
 
 use std::fs::File;
 use std::io::{BufReader, Seek as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use exr::meta::header::Header;
 use exr::meta::{BlockDescription, MetaData};
-use exr::prelude::{FlatSamples, ReadChannels as _, ReadLayers as _, read};
+use exr::prelude::{
+    AnyChannel, AnyChannels, Compression, Encoding, FlatSamples, Image, Layer, LayerAttributes, ReadChannels as _,
+    ReadLayers as _, WritableImage as _, read,
+};
+
+use crate::error::{Error, Result};
 
 /// Longest file, and most memory that the pixels of one may take, bytes.
 const MAX_BYTES: u64 = 1 << 30;
@@ -19,30 +24,10 @@ const MAX_CHANNELS: usize = 16;
 /// Largest side of a tile, pixels.
 const MAX_TILE: usize = 8192;
 
-/// Why an image cannot be read. Messages do not name the file, which the caller knows.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ExrError {
-    /// The file cannot be read.
-    #[error(transparent)]
-    Read(std::io::Error),
-    /// It is no OpenEXR file, or a damaged one.
-    #[error("not a readable OpenEXR image: {0}")]
-    Format(String),
-    /// It holds something else than a flat image of floating-point channels, or more than is read.
-    #[error("{0}")]
-    Wrong(String),
-}
-
-impl ExrError {
-    fn format(error: exr::error::Error) -> Self {
-        Self::Format(error.to_string())
-    }
-}
-
 /// An image whose header was read and found good.
 #[derive(Debug)]
 pub struct FlatExr {
+    path: PathBuf,
     file: File,
     /// Columns.
     pub width: usize,
@@ -59,23 +44,25 @@ impl FlatExr {
     ///
     /// # Errors
     /// When the file cannot be read, or is no flat image within the bounds.
-    pub fn open(path: &Path) -> Result<Self, ExrError> {
-        let mut file = File::open(path).map_err(ExrError::Read)?;
-        let length = file.metadata().map_err(ExrError::Read)?.len();
+    pub fn open(path: &Path) -> Result<Self> {
+        let io = |error| Error::io(path, error);
+        let mut file = File::open(path).map_err(io)?;
+        let length = file.metadata().map_err(io)?.len();
         if length > MAX_BYTES {
-            return Err(ExrError::Wrong(format!(
-                "{length} bytes are more than the {MAX_BYTES} that an image may have"
-            )));
+            let what = format!("{length} bytes are more than the {MAX_BYTES} that an image may have");
+            return Err(Error::wrong(path, what));
         }
-        let meta = MetaData::read_from_buffered(BufReader::new(&mut file), true).map_err(ExrError::format)?;
+        let meta = MetaData::read_from_buffered(BufReader::new(&mut file), true);
+        let meta = meta.map_err(|error| unreadable(path, &error))?;
         let [header] = meta.headers.as_slice() else {
             let parts = meta.headers.len();
-            return Err(ExrError::Wrong(format!("it has {parts} parts, expected one")));
+            return Err(Error::wrong(path, format!("it has {parts} parts, expected one")));
         };
-        check(header).map_err(ExrError::Wrong)?;
-        file.rewind().map_err(ExrError::Read)?;
+        check(header).map_err(|what| Error::wrong(path, what))?;
+        file.rewind().map_err(io)?;
         let display = header.shared_attributes.display_window;
         Ok(Self {
+            path: path.to_owned(),
             file,
             width: header.layer_size.0,
             height: header.layer_size.1,
@@ -96,7 +83,8 @@ impl FlatExr {
     ///
     /// # Errors
     /// When the file is damaged, or a chosen channel is missing or no floating-point one.
-    pub fn planes(self, chosen: &[usize]) -> Result<Vec<Vec<f32>>, ExrError> {
+    pub fn planes(self, chosen: &[usize]) -> Result<Vec<Vec<f32>>> {
+        let path = &self.path;
         let image = read()
             .no_deep_data()
             .largest_resolution_level()
@@ -105,19 +93,19 @@ impl FlatExr {
             .all_attributes()
             .non_parallel()
             .from_buffered(BufReader::new(self.file))
-            .map_err(ExrError::format)?;
+            .map_err(|error| unreadable(path, &error))?;
         let samples = image.layer_data.channel_data.list;
         let plane = |&channel: &usize| {
             let values: Vec<f32> = match samples.get(channel).map(|channel| &channel.sample_data) {
                 Some(FlatSamples::F32(values)) => values.clone(),
                 Some(FlatSamples::F16(values)) => values.iter().map(|value| value.to_f32()).collect(),
                 Some(FlatSamples::U32(_)) => {
-                    return Err(ExrError::Wrong("its channels must be floating point".into()));
+                    return Err(Error::wrong(path, "its channels must be floating point"));
                 }
-                None => return Err(ExrError::Wrong("a channel of its header is missing".into())),
+                None => return Err(Error::wrong(path, "a channel of its header is missing")),
             };
             if values.len() != self.height * self.width {
-                return Err(ExrError::Wrong("its channels have another size than the image".into()));
+                return Err(Error::wrong(path, "its channels have another size than the image"));
             }
             Ok(values)
         };
@@ -125,8 +113,12 @@ impl FlatExr {
     }
 }
 
+fn unreadable(path: &Path, error: &exr::error::Error) -> Error {
+    Error::wrong(path, format!("not a readable OpenEXR image: {error}"))
+}
+
 /// What is wrong with a header, if something is.
-fn check(header: &Header) -> Result<(), String> {
+fn check(header: &Header) -> std::result::Result<(), String> {
     if header.deep {
         return Err("deep images have several values a pixel; save a flat image of the nearest surface".into());
     }
@@ -155,19 +147,22 @@ fn check(header: &Header) -> Result<(), String> {
     Ok(())
 }
 
-#[cfg(test)]
-mod tests {
-    use exr::prelude::*;
-
-    use super::FlatExr;
-
-    #[test]
-    fn damaged_bytes_are_an_error_or_a_picture_never_a_panic() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("image.exr");
-        let (width, height) = (23usize, 17usize);
-        let values = (0..width * height).map(|pixel| pixel as f32 / 7.0).collect();
-        let channel = AnyChannel::new("Z", FlatSamples::F32(values));
+/// Writes one channel of f32 values, `(width, height)` pixels, ZIP compressed. `[H, W]`
+///
+/// # Errors
+/// When there are other than so many values, or the operating system refuses.
+pub fn write_exr(
+    path: &Path,
+    (width, height): (usize, usize),
+    channel: &str,
+    values: Vec<f32>,
+) -> rogs_files::Result<()> {
+    rogs_files::write_with(path, |out| {
+        if Some(values.len()) != width.checked_mul(height) {
+            let what = format!("an image of {width}x{height} pixels was given {} values", values.len());
+            return Err(std::io::Error::other(what));
+        }
+        let channel = AnyChannel::new(channel, FlatSamples::F32(values));
         let layer = Layer::new(
             (width, height),
             LayerAttributes::default(),
@@ -177,7 +172,26 @@ mod tests {
             },
             AnyChannels::sort(std::iter::once(channel).collect()),
         );
-        Image::from_layer(layer).write().to_file(&path).unwrap();
+        let written = Image::from_layer(layer).write().to_buffered(out);
+        written.map_err(|error| match error {
+            exr::error::Error::Io(error) => error,
+            other => std::io::Error::other(other.to_string()),
+        })
+    })
+}
+
+#[cfg(test)]
+#[allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn damaged_bytes_are_an_error_or_a_picture_never_a_panic() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("image.exr");
+        let (width, height) = (23usize, 17usize);
+        let values = (0..width * height).map(|pixel| pixel as f32 / 7.0).collect();
+        write_exr(&path, (width, height), "Z", values).unwrap();
         let depth = || FlatExr::open(&path).and_then(|image| image.planes(&[0]));
         let whole = std::fs::read(&path).unwrap();
         assert_eq!(depth().unwrap()[0][8], 8.0f32 / 7.0);

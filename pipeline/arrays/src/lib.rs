@@ -1,0 +1,45 @@
+//! Arrays and images in files that rogs shares with other programs.
+//!
+//! | format | read | written |
+//! |---|---|---|
+//! | numpy `.npy` | [`NpyFile`] | [`npy_header`], [`npy_bytes`] |
+//! | numpy `.npz`, `.safetensors` | [`ArrayFile`] | [`write_npz`] |
+//! | OpenEXR, one flat part | [`FlatExr`] | [`write_exr`] |
+//! | PNG | [`Png`] | [`write_png`] |
+//!
+//! Readers meet files of strangers: what a header announces is compared with the length of the file, and with fixed
+//! limits, before anything is allocated for it. Files are written whole or not at all ([`rogs_files`]). What the values
+//! mean (units, frames) is the caller's business.
+//!
+//! ```
+//! use rogs_arrays::{ArrayFile, NamedArray, Values, write_npz};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("view.npz");
+//! let depth_m = [1.0_f32, 1.5, 2.0, 2.5, 3.0, 3.5];
+//! write_npz(&path, &[NamedArray::new("depth", &[2, 3], &depth_m)])?;
+//!
+//! let depth = ArrayFile::open(&path)?.need(&["depth"])?;
+//! assert_eq!(depth.shape, [2, 3]);
+//! assert_eq!(depth.values, Values::Floats(depth_m.to_vec()));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod dtype;
+mod error;
+mod exr;
+mod named;
+mod npy;
+mod npz;
+mod png;
+mod shape;
+mod zip;
+
+pub use dtype::{Dtype, Scalar, Values, le_bytes};
+pub use error::{Error, Problem, Result};
+pub use exr::{FlatExr, write_exr};
+pub use named::{Array, ArrayFile};
+pub use npy::{NpyFile, npy_bytes, npy_header};
+pub use npz::{NamedArray, write_npz};
+pub use png::{Png, write_png};
+pub use shape::ANY;

@@ -1,0 +1,323 @@
+//! Numpy's `.npy` format: versions 1 to 3, C order, little endian.
+
+use std::fs::File;
+use std::io::{Read as _, Seek as _, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use crate::dtype::{Dtype, Scalar, le_bytes};
+use crate::error::{Error, Result};
+use crate::shape;
+
+/// What every file begins with.
+const MAGIC: &[u8; 6] = b"\x93NUMPY";
+/// Bytes from which magic, version and length of the header can be read.
+const EDGE: usize = 12;
+/// Longest header that is read, bytes.
+const MAX_HEADER: usize = 1 << 16;
+/// Most dimensions of an array.
+const MAX_DIMENSIONS: usize = 8;
+
+/// An open `.npy` file whose header is read and fits the length of the file.
+#[derive(Debug)]
+pub struct NpyFile {
+    path: PathBuf,
+    file: File,
+    /// First byte of the numbers.
+    start: usize,
+    dtype: Dtype,
+    shape: Vec<usize>,
+}
+
+impl NpyFile {
+    /// Opens a file and reads its header.
+    ///
+    /// # Errors
+    /// When the file cannot be read, is no `.npy` file, or is not as long as its shape says.
+    pub fn open(path: &Path) -> Result<Self> {
+        let io = |error| Error::io(path, error);
+        let wrong = |what: String| Error::wrong(path, what);
+        let mut file = File::open(path).map_err(io)?;
+        let length = file.metadata().map_err(io)?.len();
+        let mut head = Vec::new();
+        let read = |file: &mut File, head: &mut Vec<u8>, up_to: usize| {
+            let missing = up_to.saturating_sub(head.len()) as u64;
+            file.take(missing).read_to_end(head)
+        };
+        read(&mut file, &mut head, EDGE).map_err(io)?;
+        let start = data_start(&head).map_err(wrong)?;
+        read(&mut file, &mut head, start).map_err(io)?;
+        let (dtype, shape) = header(&head, start).map_err(wrong)?;
+        if data_length(dtype, &shape).and_then(|bytes| bytes.checked_add(start)) != usize::try_from(length).ok() {
+            let what = format!("the file has {length} bytes, which does not fit its shape {shape:?}");
+            return Err(wrong(what));
+        }
+        Ok(Self {
+            path: path.to_owned(),
+            file,
+            start,
+            dtype,
+            shape,
+        })
+    }
+
+    /// Lengths of the dimensions.
+    #[must_use]
+    pub fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+
+    /// Type of the numbers.
+    #[must_use]
+    pub fn dtype(&self) -> Dtype {
+        self.dtype
+    }
+
+    /// Demands a shape; [`ANY`](crate::ANY) stands for any length.
+    ///
+    /// # Errors
+    /// When it has another one.
+    pub fn expect_shape(&self, expected: &[usize]) -> Result<()> {
+        shape::mismatch(&self.shape, &[expected]).map_or(Ok(()), |what| Err(Error::wrong(&self.path, what)))
+    }
+
+    /// Demands floating-point values.
+    ///
+    /// # Errors
+    /// When they are integers or halves.
+    pub fn expect_floats(&self) -> Result<()> {
+        match self.dtype {
+            Dtype::F32 | Dtype::F64 => Ok(()),
+            other => {
+                let what = format!("the values are {other:?}, expected f32 or f64");
+                Err(Error::wrong(&self.path, what))
+            }
+        }
+    }
+
+    /// All values of entry `index` along the first axis.
+    ///
+    /// # Errors
+    /// When there is no such entry, or the file cannot be read.
+    pub fn entry(&mut self, index: usize) -> Result<Vec<f64>> {
+        let Some((_, rest)) = self.shape.split_first().filter(|(first, _)| index < **first) else {
+            let what = format!("there is no entry {index} in shape {:?}", self.shape);
+            return Err(Error::wrong(&self.path, what));
+        };
+        // The product with the first length, which is not 0, was found to be the file's.
+        let length = rest.iter().product();
+        self.read(index * length, length)
+    }
+
+    /// All values.
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    pub fn all(&mut self) -> Result<Vec<f64>> {
+        let length = data_length(self.dtype, &self.shape).unwrap_or(0) / self.dtype.size();
+        self.read(0, length)
+    }
+
+    fn read(&mut self, from: usize, count: usize) -> Result<Vec<f64>> {
+        // The file is at least as long: its length was checked.
+        let size = self.dtype.size();
+        let mut bytes = vec![0; count * size];
+        let seek = self.file.seek(SeekFrom::Start((self.start + from * size) as u64));
+        seek.and_then(|_| self.file.read_exact(&mut bytes))
+            .map_err(|error| Error::io(&self.path, error))?;
+        Ok(self.dtype.doubles(&bytes))
+    }
+}
+
+/// Type, shape and bytes of the numbers of a `.npy` file in memory.
+pub(crate) fn parse(bytes: &[u8]) -> std::result::Result<(Dtype, Vec<usize>, &[u8]), String> {
+    let start = data_start(bytes)?;
+    let (dtype, shape) = header(bytes, start)?;
+    let data = &bytes[start..];
+    if data_length(dtype, &shape) != Some(data.len()) {
+        return Err(format!("shape {shape:?} does not fit its {} bytes", data.len()));
+    }
+    Ok((dtype, shape, data))
+}
+
+/// Bytes of the numbers of an array; `None` on overflow.
+fn data_length(dtype: Dtype, shape: &[usize]) -> Option<usize> {
+    let count = |product: usize, &length: &usize| product.checked_mul(length);
+    shape.iter().try_fold(1, count)?.checked_mul(dtype.size())
+}
+
+/// Where the numbers begin, by the first bytes of a file.
+fn data_start(head: &[u8]) -> std::result::Result<usize, String> {
+    let edge: [u8; EDGE] = head
+        .first_chunk()
+        .copied()
+        .ok_or("it is cut off: too short for a .npy file")?;
+    let (begin, length) = match (edge.starts_with(MAGIC), edge[6]) {
+        (true, 1) => (10, usize::from(u16::from_le_bytes([edge[8], edge[9]]))),
+        (true, 2 | 3) => (12, u32::from_le_bytes([edge[8], edge[9], edge[10], edge[11]]) as usize),
+        (true, other) => return Err(format!("version {other} of the .npy format is not supported")),
+        (false, _) => return Err("it is not a .npy file".to_owned()),
+    };
+    if length > MAX_HEADER {
+        return Err(format!("a header of {length} bytes is impossible"));
+    }
+    Ok(begin + length)
+}
+
+/// Type and shape from the header that ends at `start`:
+/// `{'descr': '<f4', 'fortran_order': False, 'shape': (3, 4), }`.
+fn header(head: &[u8], start: usize) -> std::result::Result<(Dtype, Vec<usize>), String> {
+    let header = head.get(10..start).ok_or("it is cut off in its header")?;
+    let header = String::from_utf8_lossy(header);
+    let after = |key: &str| {
+        let (_, rest) = header
+            .split_once(&format!("'{key}'"))
+            .ok_or_else(|| format!("the header has no `{key}`"))?;
+        let rest = rest
+            .trim_start()
+            .strip_prefix(':')
+            .ok_or("the header is not a dictionary")?;
+        Ok::<&str, String>(rest.trim_start())
+    };
+    let dtype = after("descr")?
+        .strip_prefix('\'')
+        .and_then(|rest| rest.split('\'').next())
+        .ok_or("the value type is not plain")?;
+    let dtype = Dtype::of_numpy(dtype)?;
+    if !after("fortran_order")?.starts_with("False") {
+        return Err("the array is in Fortran order; save `numpy.ascontiguousarray(a)`".to_owned());
+    }
+    let shape = after("shape")?
+        .strip_prefix('(')
+        .and_then(|rest| rest.split_once(')'))
+        .ok_or("the header has no shape")?
+        .0;
+    let lengths = shape.split(',').map(str::trim).filter(|text| !text.is_empty());
+    let lengths: std::result::Result<Vec<usize>, _> = lengths.map(str::parse).collect();
+    let lengths = lengths.map_err(|_| format!("the shape ({shape}) is not a list of lengths"))?;
+    if lengths.len() > MAX_DIMENSIONS {
+        return Err(format!("{} dimensions are too many", lengths.len()));
+    }
+    Ok((dtype, lengths))
+}
+
+/// What comes before the numbers of an array of this type and shape: a header of version 1.0.
+#[must_use]
+pub fn npy_header<T: Scalar>(shape: &[usize]) -> Vec<u8> {
+    let descr = T::DTYPE.numpy();
+    let shape = spelled(shape);
+    let mut text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
+    // Magic, version and length take 10 bytes, the line break one; the numbers begin at a multiple of 64.
+    let length = (10 + text.len() + 1).next_multiple_of(64) - 10;
+    text.extend(std::iter::repeat_n(' ', length - 1 - text.len()));
+    text.push('\n');
+    let mut bytes = MAGIC.to_vec();
+    bytes.extend([1, 0]);
+    // A shape of at most a few numbers: far below 64 KiB.
+    bytes.extend((length as u16).to_le_bytes());
+    bytes.extend(text.as_bytes());
+    bytes
+}
+
+/// A `.npy` file of an array, row-major.
+#[must_use]
+pub fn npy_bytes<T: Scalar>(shape: &[usize], values: &[T]) -> Vec<u8> {
+    debug_assert_eq!(shape.iter().product::<usize>(), values.len(), "shape {shape:?}");
+    let mut bytes = npy_header::<T>(shape);
+    bytes.extend(le_bytes(values));
+    bytes
+}
+
+/// A shape as Python writes a tuple: `()`, `(3,)`, `(2, 4, 5)`.
+fn spelled(shape: &[usize]) -> String {
+    match shape {
+        [one] => format!("({one},)"),
+        many => {
+            let lengths: Vec<String> = many.iter().map(usize::to_string).collect();
+            format!("({})", lengths.join(", "))
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+mod tests {
+    use super::*;
+    use crate::ANY;
+
+    /// A `.npy` of version 1.
+    fn npy(header: &str, data: &[u8]) -> Vec<u8> {
+        let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+        bytes.extend((header.len() as u16).to_le_bytes());
+        bytes.extend(header.as_bytes());
+        bytes.extend(data);
+        bytes
+    }
+
+    #[test]
+    fn headers_of_numpy_are_understood() {
+        let header = "{'descr': '<i2', 'fortran_order': False, 'shape': (2, 1), }   \n";
+        let bytes = npy(header, &[1, 0, 255, 255]);
+        assert_eq!(parse(&bytes), Ok((Dtype::I16, vec![2, 1], [1, 0, 255, 255].as_slice())));
+        let scalar = npy("{'descr': '|b1', 'fortran_order': False, 'shape': (), }", &[1]);
+        assert_eq!(parse(&scalar), Ok((Dtype::U8, vec![], [1].as_slice())));
+    }
+
+    #[test]
+    fn wrong_files_say_what_is_wrong() {
+        let why = |header: &str, data: &[u8]| parse(&npy(header, data)).unwrap_err();
+        let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (2,), }";
+        let huge = header.replace("(2,)", "(99999999999, 99999999999)");
+        assert!(why(&huge, &[0; 8]).contains("does not fit"));
+        assert!(why(&header.replace("False", "True"), &[0; 8]).contains("ascontiguousarray"));
+        assert!(why(&header.replace("<f4", "|O"), &[0; 8]).contains("`|O`"));
+        assert!(why(&header.replace("<f4", ">f4"), &[0; 8]).contains("not supported"));
+        assert!(why("{                        }", &[0; 8]).contains("no `descr`"));
+        assert!(parse(b"\x93NUMPY\x01\x00\xff\xff{}").unwrap_err().contains("cut off"));
+        assert!(parse(b"PK0123456789").unwrap_err().contains("not a .npy file"));
+        assert!(parse(b"PK").unwrap_err().contains("too short"));
+    }
+
+    /// As numpy 2.4 writes them (`numpy.save`), but for the spare spaces that it leaves for growing arrays.
+    #[test]
+    fn headers_are_aligned_and_spell_shapes_as_numpy_does() {
+        for (shape, text) in [
+            (vec![], "()"),
+            (vec![3], "(3,)"),
+            (vec![2, 4], "(2, 4)"),
+            (vec![2, 4, 5], "(2, 4, 5)"),
+        ] {
+            let bytes = npy_header::<f32>(&shape);
+            assert_eq!(bytes.len() % 64, 0);
+            let expected = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {text}, }}");
+            assert_eq!(String::from_utf8_lossy(&bytes[10..]).trim_end(), expected);
+            assert_eq!(usize::from(u16::from_le_bytes([bytes[8], bytes[9]])), bytes.len() - 10);
+        }
+    }
+
+    #[test]
+    fn files_are_read_whole_and_by_entry() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.npy");
+        std::fs::write(&path, npy_bytes(&[2, 3], &[0_u32, 1, 2, 3, 4, 5])).unwrap();
+        let mut file = NpyFile::open(&path).unwrap();
+        file.expect_shape(&[ANY, 3]).unwrap();
+        assert!(
+            file.expect_shape(&[ANY])
+                .unwrap_err()
+                .to_string()
+                .contains("expected [any]")
+        );
+        assert!(file.expect_floats().unwrap_err().to_string().contains("U32"));
+        assert_eq!(file.entry(1).unwrap(), [3.0, 4.0, 5.0]);
+        assert!(file.entry(2).unwrap_err().to_string().contains("no entry 2"));
+        assert_eq!(file.all().unwrap(), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
+        // No entries, whatever the other lengths.
+        let empty = "{'descr': '<f4', 'fortran_order': False, 'shape': (0, 9999999999999, 9999999999999), }";
+        std::fs::write(&path, npy(empty, &[])).unwrap();
+        let mut file = NpyFile::open(&path).unwrap();
+        assert!(file.entry(0).is_err());
+        assert_eq!(file.all().unwrap(), [0.0; 0]);
+        std::fs::write(&path, &npy(empty, &[])[..40]).unwrap();
+        assert!(NpyFile::open(&path).unwrap_err().to_string().contains("cut off"));
+    }
+}

@@ -1,0 +1,90 @@
+//! PNG images.
+
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use image::codecs::png::{PngDecoder, PngEncoder};
+use image::{DynamicImage, ExtendedColorType, ImageDecoder as _, ImageEncoder as _, Limits};
+
+use crate::error::{Error, Result};
+
+/// Largest side, pixels.
+const MAX_SIDE: u32 = 8192;
+/// Most memory for decoding one image, bytes.
+const MAX_ALLOC: u64 = 512 << 20;
+
+/// An image whose header was read and found good.
+pub struct Png {
+    path: PathBuf,
+    decoder: PngDecoder<BufReader<std::fs::File>>,
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+}
+
+impl Png {
+    /// Opens a file and reads its header.
+    ///
+    /// # Errors
+    /// When the file cannot be read, is no PNG, or is larger than 8192 pixels a side.
+    pub fn open(path: &Path) -> Result<Self> {
+        let file = std::fs::File::open(path).map_err(|error| Error::io(path, error))?;
+        let mut limits = Limits::default();
+        limits.max_image_width = Some(MAX_SIDE);
+        limits.max_image_height = Some(MAX_SIDE);
+        limits.max_alloc = Some(MAX_ALLOC);
+        let decoder =
+            PngDecoder::with_limits(BufReader::new(file), limits).map_err(|error| unreadable(path, &error))?;
+        let (width, height) = decoder.dimensions();
+        Ok(Self {
+            path: path.to_owned(),
+            decoder,
+            width,
+            height,
+        })
+    }
+
+    /// The pixels, as the file has them.
+    ///
+    /// # Errors
+    /// When the file is damaged.
+    pub fn decode(self) -> Result<DynamicImage> {
+        DynamicImage::from_decoder(self.decoder).map_err(|error| unreadable(&self.path, &error))
+    }
+
+    /// The pixels of a 16-bit grey image, such as depth in millimetres. `[H, W]`
+    ///
+    /// # Errors
+    /// When the file is damaged or its pixels are of another kind.
+    pub fn decode_grey16(self) -> Result<Vec<u16>> {
+        let path = self.path.clone();
+        match self.decode()? {
+            DynamicImage::ImageLuma16(image) => Ok(image.into_raw()),
+            other => {
+                let what = format!("pixels are {:?}, expected 16-bit grey (millimetres)", other.color());
+                Err(Error::wrong(&path, what))
+            }
+        }
+    }
+}
+
+fn unreadable(path: &Path, error: &image::ImageError) -> Error {
+    Error::wrong(path, format!("not a readable PNG image: {error}"))
+}
+
+/// Writes an 8-bit RGB image of `(width, height)` pixels. `[H, W, 3]`
+///
+/// # Errors
+/// When there are other than so many pixels, or the operating system refuses.
+pub fn write_png(path: &Path, (width, height): (u32, u32), rgb: &[u8]) -> rogs_files::Result<()> {
+    rogs_files::write_with(path, |out| {
+        if rgb.len() as u64 != u64::from(width) * u64::from(height) * 3 {
+            let what = format!("an image of {width}x{height} pixels was given {} bytes", rgb.len());
+            return Err(std::io::Error::other(what));
+        }
+        PngEncoder::new(out)
+            .write_image(rgb, width, height, ExtendedColorType::Rgb8)
+            .map_err(std::io::Error::other)
+    })
+}
