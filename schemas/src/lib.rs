@@ -3,6 +3,7 @@
 
 pub mod episode;
 pub mod error;
+pub mod ids;
 pub mod json;
 pub mod key;
 pub mod ledger;
@@ -18,6 +19,7 @@ pub mod units;
 pub use rogs_files as atomic;
 
 pub use error::{Error, Result};
+pub use ids::{CameraIndex, ClipId, FrameIndex};
 pub use json::{canonical_json, overlay};
 pub use key::{CacheKey, ContentHash, KeyMaterial, Provenance};
 pub use pose::{Intrinsics, RigidPose};

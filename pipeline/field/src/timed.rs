@@ -98,7 +98,7 @@ impl<'a> TimedField<'a> {
 
     fn error(&self, what: String) -> Error {
         Error::Field {
-            clip: self.field.clip_id.clone(),
+            clip: self.field.clip_id.to_string(),
             what,
         }
     }
@@ -326,7 +326,7 @@ mod tests {
             }
         };
         Field {
-            clip_id: "clip".into(),
+            clip_id: "clip".parse().unwrap(),
             frame_count: 17,
             height: 1,
             width: 6,

@@ -14,8 +14,8 @@ use rogs_orchestrator::executor::ProgressMode;
 use rogs_orchestrator::plan::{Plan, WorkUnit, read_plan};
 use rogs_orchestrator::programs::StagePrograms;
 use rogs_orchestrator::{Prepared, estimate, status};
-use rogs_schemas::Provenance;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
+use rogs_schemas::{ClipId, Provenance};
 
 type Anyhow<T> = anyhow::Result<T>;
 
@@ -92,7 +92,7 @@ fn dataset(folder: &Path, clips: usize) -> Anyhow<PathBuf> {
 /// Writes an output with the right key for every unit; what is in it does not matter for its state.
 fn fill(plan: &Plan) -> Anyhow<()> {
     let sheet = |clip: &str| ScoreSheet {
-        clip_id: clip.to_owned(),
+        clip_id: ClipId::made_of(clip),
         method: String::new(),
         setting: String::new(),
         ssim_variant: String::new(),

@@ -35,7 +35,7 @@ pub(crate) fn timing(
         .unwrap_or_default();
     timing.method.clone_from(&sheet.method);
     timing.setting.clone_from(&sheet.setting);
-    timing.clip_id.clone_from(&sheet.clip_id);
+    timing.clip_id = sheet.clip_id.to_string();
     timing.render_query_s = timing.render_query_s.or(phase(score, "render_query"));
     timing.render_displacement_s = timing.render_displacement_s.or(phase(score, "render_displacement"));
     timing.transform_merge_s = timing.transform_merge_s.or(phase(score, "transform_merge"));

@@ -108,7 +108,7 @@ fn wall() -> Field {
         moving_raw: vec![],
     };
     Field {
-        clip_id: "wall".into(),
+        clip_id: "wall".parse().unwrap(),
         frame_count: 17,
         height: HEIGHT as u32,
         width: WIDTH as u32,

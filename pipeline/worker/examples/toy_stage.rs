@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
+use rogs_schemas::ClipId;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::record::{Record, SchemaId};
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
@@ -87,7 +88,7 @@ impl Stage for Toy {
         context.warn(format!("loaded {} times", self.loads));
         let scores = Scores {
             summary: ScoreSheet {
-                clip_id: context.clip_id().to_owned(),
+                clip_id: ClipId::made_of(context.clip_id()),
                 method: text.repeat(self.params.repeat as usize),
                 setting: "recorded".into(),
                 ssim_variant: String::new(),

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
+use rogs_schemas::ids::safe_name;
 use rogs_schemas::key::KeyMaterial;
 use rogs_schemas::protocol::Job;
 use rogs_schemas::source::hash_source;
@@ -100,18 +101,6 @@ fn job_of<S: Stage>(arguments: &OneArguments) -> StageResult<Job> {
         key: material.key(),
         material,
     })
-}
-
-/// A name made of the characters that clip ids may have.
-fn safe_name(text: &str) -> String {
-    let safe = |c: char| {
-        if c.is_ascii_alphanumeric() || "._+-".contains(c) {
-            c
-        } else {
-            '_'
-        }
-    };
-    text.chars().take(128).map(safe).collect()
 }
 
 fn tell(output: &Path, report: &Report) {

@@ -67,12 +67,3 @@ pub(crate) fn pose(what: &str, pose: &crate::pose::RigidPose) -> Check {
     finite(what, &pose.rotation)?;
     finite(what, &pose.translation)
 }
-
-/// A name that can be a file name: `[A-Za-z0-9._+-]{1,128}`, not `.` or `..`.
-pub(crate) fn safe_name(what: &str, name: &str) -> Check {
-    let safe = |byte: u8| byte.is_ascii_alphanumeric() || b"._+-".contains(&byte);
-    let fits = (1..=128).contains(&name.len()) && name.bytes().all(safe) && name != "." && name != "..";
-    ensure(fits, || {
-        format!("{what} {name:?} is not 1 to 128 of `A-Z a-z 0-9 . _ + -`")
-    })
-}

@@ -2,13 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::ids::ClipId;
 use crate::pose::{Intrinsics, RigidPose};
 
 /// One clip, written by `ingest`. Frames are counted inside the clip: `0..frame_count()`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Clip {
-    /// Safe name of the clip (`[A-Za-z0-9._+-]{1,128}`), unique in a run.
-    pub clip_id: String,
+    /// Name of the clip, unique in a run.
+    pub clip_id: ClipId,
     /// Episode id of the dataset (a DROID uuid where there is one).
     pub episode_id: String,
     /// Which importer read it: `rogs-episode`, `droid-ctrlworld`, `lerobot-v2.1`, `lerobot-v3.0`.

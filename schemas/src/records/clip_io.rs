@@ -2,8 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::check::{Check, area, ascending_frames, binary, count, ensure, finite, pose, product, safe_name};
+use super::check::{Check, area, ascending_frames, binary, count, ensure, finite, pose, product};
 use super::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Tracks};
+use crate::ids::ClipId;
 use crate::error::Result;
 use crate::pose::Intrinsics;
 use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
@@ -63,7 +64,7 @@ const TRACK_VISIBLE: StreamSpec = StreamSpec {
 /// What is small.
 #[derive(Serialize, Deserialize)]
 struct Head {
-    clip_id: String,
+    clip_id: ClipId,
     episode_id: String,
     layout: String,
     task: String,
@@ -258,7 +259,6 @@ fn take_back<T>(values: &mut Vec<T>, length: usize, what: &str) -> std::result::
 impl Clip {
     /// What contradicts what, if anything.
     pub(crate) fn check(&self) -> Check {
-        safe_name("the clip id", &self.clip_id)?;
         let area = area(self.height, self.width)?;
         let frames = self.frame_count();
         ensure((1..=65_536).contains(&frames), || format!("{frames} frames"))?;

@@ -1,5 +1,6 @@
 //! FK conditioning maps kappa, stored sparse and lossless (`docs/spec/stage1.md` section 11).
 
+use crate::ids::ClipId;
 use crate::records::clip::SourceView;
 
 /// Channels of a dense conditioning map: support, mesh depth (m), FK displacement x, y, z (iu), availability, prior.
@@ -23,7 +24,7 @@ pub mod plane {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Conditioning {
     /// The clip this belongs to.
-    pub clip_id: String,
+    pub clip_id: ClipId,
     /// Map height, pixels.
     pub height: u32,
     /// Map width, pixels.

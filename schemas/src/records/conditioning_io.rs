@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::check::{Check, area, ascending_frames, binary, count, ensure, product};
 use super::clip::SourceView;
 use super::conditioning::{Conditioning, GripperPrior, ViewConditioning};
+use crate::ids::ClipId;
 use crate::error::Result;
 use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
 use crate::record::{Record, SchemaId};
@@ -48,7 +49,7 @@ const DISPLACEMENT: StreamSpec = StreamSpec {
 
 #[derive(Serialize, Deserialize)]
 struct Head {
-    clip_id: String,
+    clip_id: ClipId,
     height: u32,
     width: u32,
     views: Vec<SourceView>,

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::ids::ClipId;
 use crate::pose::RigidPose;
 use crate::records::clip::SourceView;
 
@@ -16,7 +17,7 @@ pub const RAW_CHANNELS: usize = 11;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Field {
     /// The clip this belongs to.
-    pub clip_id: String,
+    pub clip_id: ClipId,
     /// Number of frames of the clip; normalised time is frame / (frame_count - 1).
     pub frame_count: u32,
     /// Image height of the source views, pixels.

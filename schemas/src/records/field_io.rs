@@ -6,6 +6,7 @@ use super::arrays_io::{self, ArrayHead};
 use super::check::{Check, area, binary, count, ensure, pose, product};
 use super::clip::SourceView;
 use super::field::{Field, GATE_ATTRIBUTES, GATE_OPACITY, RAW_CHANNELS, TimeSlice, WeightsInfo};
+use crate::ids::ClipId;
 use crate::error::Result;
 use crate::pose::RigidPose;
 use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
@@ -49,7 +50,7 @@ const fn bytes(name: &'static str, fill: &'static str) -> StreamSpec {
 
 #[derive(Serialize, Deserialize)]
 struct Head {
-    clip_id: String,
+    clip_id: ClipId,
     frame_count: u32,
     height: u32,
     width: u32,

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::ids::ClipId;
 use crate::key::CacheKey;
 use crate::records::field::NamedArray;
 
@@ -24,7 +25,7 @@ pub enum ScaleResidual {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refinement {
     /// The clip this belongs to.
-    pub clip_id: String,
+    pub clip_id: ClipId,
     /// Key of the field file that it corrects.
     pub field_key: CacheKey,
     /// Number of Gaussians of that field.

@@ -6,6 +6,7 @@ use super::arrays_io::{self, ArrayHead};
 use super::check::{Check, binary, count, ensure, product};
 use super::field::WeightsInfo;
 use super::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
+use crate::ids::ClipId;
 use crate::error::Result;
 use crate::key::CacheKey;
 use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
@@ -45,7 +46,7 @@ const BLOCK: usize = 16_384;
 
 #[derive(Serialize, Deserialize)]
 struct Head {
-    clip_id: String,
+    clip_id: ClipId,
     field_key: [u8; 16],
     gaussian_count: u64,
     updates: u32,

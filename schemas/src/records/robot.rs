@@ -2,13 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::ids::ClipId;
 use crate::pose::RigidPose;
 
 /// Written by `robot-maps`: link transforms, resolved camera poses, mesh depth and link ids.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RobotMaps {
     /// The clip this belongs to.
-    pub clip_id: String,
+    pub clip_id: ClipId,
     /// Names of all URDF links; a link id is an index into this list. `[L]`
     pub link_names: Vec<String>,
     /// Link-to-base transforms, metres. `[F, L]`, frame-major

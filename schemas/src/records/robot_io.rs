@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::check::{Check, area, binary, count, ensure, finite, pose, product};
 use super::robot::{NO_LINK, RobotMap, RobotMaps};
+use crate::ids::ClipId;
 use crate::error::Result;
 use crate::pose::RigidPose;
 use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
@@ -39,7 +40,7 @@ const SUPPORT: StreamSpec = StreamSpec {
 
 #[derive(Serialize, Deserialize)]
 struct Head {
-    clip_id: String,
+    clip_id: ClipId,
     link_names: Vec<String>,
     base_from_link: Vec<RigidPose>,
     base_from_camera: Vec<RigidPose>,

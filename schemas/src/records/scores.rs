@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::ids::ClipId;
+
 /// Written by `score`. A metric that cannot be measured is `None`, never 0 (`docs/spec/scoring.md` section 11).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scores {
@@ -15,7 +17,7 @@ pub struct Scores {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ScoreSheet {
     /// The clip.
-    pub clip_id: String,
+    pub clip_id: ClipId,
     /// Method name of the table row, for example `stage1` or `stage1+2`.
     pub method: String,
     /// `recorded` or `rollout`.

@@ -121,7 +121,7 @@ pub(crate) fn clip() -> Clip {
         base_from_camera: vec![pose(1.0), pose(1.1), pose(1.2)],
     };
     Clip {
-        clip_id: "LAB+a1+2026-01-31-12h-00m-00s".into(),
+        clip_id: "LAB+a1+2026-01-31-12h-00m-00s".parse().unwrap(),
         episode_id: "LAB+a1+2026-01-31-12h:00m:00s".into(),
         layout: "rogs-episode".into(),
         task: "put the cup on the plate".into(),
@@ -174,7 +174,7 @@ pub(crate) fn robot() -> RobotMaps {
         support: small_bytes(20, AREA, 2.0),
     };
     RobotMaps {
-        clip_id: "clip".into(),
+        clip_id: "clip".parse().unwrap(),
         link_names: vec!["panda_link0".into(), "panda_link1".into()],
         base_from_link: (0..2 * FRAMES).map(|i| pose(i as f64)).collect(),
         base_from_camera: (0..2 * FRAMES).map(|i| pose(-(i as f64))).collect(),
@@ -206,7 +206,7 @@ pub(crate) fn conditioning() -> Conditioning {
         prior,
     };
     Conditioning {
-        clip_id: "clip".into(),
+        clip_id: "clip".parse().unwrap(),
         height: HEIGHT,
         width: WIDTH,
         views: views(),
@@ -231,7 +231,7 @@ pub(crate) fn field() -> Field {
     let mut base_raw = floats(41, total * RAW_CHANNELS);
     base_raw[3] = -0.0;
     Field {
-        clip_id: "clip".into(),
+        clip_id: "clip".parse().unwrap(),
         frame_count: 3,
         height: HEIGHT,
         width: WIDTH,
@@ -272,7 +272,7 @@ pub(crate) fn refinement() -> Refinement {
         }
     };
     Refinement {
-        clip_id: "clip".into(),
+        clip_id: "clip".parse().unwrap(),
         field_key: CacheKey([3; 16]),
         gaussian_count: 30,
         updates: 4,
@@ -312,7 +312,7 @@ pub(crate) fn scores() -> Scores {
         depth_m: vec![0.0; (height * width) as usize],
     };
     let summary = ScoreSheet {
-        clip_id: "clip".into(),
+        clip_id: "clip".parse().unwrap(),
         method: "stage1".into(),
         setting: "recorded".into(),
         ssim_variant: "gaussian".into(),

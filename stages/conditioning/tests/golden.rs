@@ -90,7 +90,7 @@ fn records(file: &SafeTensors<'_>) -> (Clip, RobotMaps) {
         }
     };
     let clip = Clip {
-        clip_id: "golden".into(),
+        clip_id: "golden".parse().unwrap(),
         episode_id: "golden".into(),
         layout: "test".into(),
         task: String::new(),
@@ -135,7 +135,7 @@ fn records(file: &SafeTensors<'_>) -> (Clip, RobotMaps) {
         recon_from_base.inverse().point(in_recon).to_array()
     };
     let robot = RobotMaps {
-        clip_id: "golden".into(),
+        clip_id: "golden".parse().unwrap(),
         link_names: ["a", "b", "c"].map(String::from).to_vec(),
         base_from_link,
         base_from_camera: (0..4).flat_map(|index| [cameras[index].to_rigid(); 3]).collect(),
@@ -277,7 +277,7 @@ fn records_of_different_clips_are_refused() {
             .message
             .contains("camera 0 at frame 0")
     );
-    robot.clip_id = "other".into();
+    robot.clip_id = "other".parse().unwrap();
     assert!(
         build(&clip, &robot, &Params::default())
             .unwrap_err()

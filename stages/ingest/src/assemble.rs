@@ -1,7 +1,7 @@
 //! From a described episode to a clip: choose frames, decode, resize.
 
 use rayon::prelude::*;
-use rogs_schemas::RigidPose;
+use rogs_schemas::{ClipId, RigidPose};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Tracks};
 use rogs_worker::{StageError, StageResult};
 
@@ -37,7 +37,7 @@ impl Interval {
 }
 
 /// Makes the clip; also returns what a person should know.
-pub(crate) fn assemble(mut source: Source, params: &Params, clip_id: &str) -> StageResult<(Clip, Vec<String>)> {
+pub(crate) fn assemble(mut source: Source, params: &Params, clip_id: ClipId) -> StageResult<(Clip, Vec<String>)> {
     let mut warnings = std::mem::take(&mut source.warnings);
     let interval = interval(&source, params)?;
     let chosen = choose_cameras(&mut source, params)?;
@@ -73,7 +73,7 @@ pub(crate) fn assemble(mut source: Source, params: &Params, clip_id: &str) -> St
         }
     };
     let clip = Clip {
-        clip_id: clip_id.to_owned(),
+        clip_id,
         episode_id: source.episode_id,
         layout: source.layout.to_owned(),
         task: source.task,

@@ -139,24 +139,6 @@ pub(crate) fn times(times: &[f64], fps: f64, path: &Path) -> StageResult<Option<
     }))
 }
 
-/// A name that can be a file name (`[A-Za-z0-9._+-]{1,128}`): every other character becomes `_`.
-#[must_use]
-pub fn safe_name(name: &str) -> String {
-    let safe = |c: char| {
-        if c.is_ascii_alphanumeric() || "._+-".contains(c) {
-            c
-        } else {
-            '_'
-        }
-    };
-    let mut mapped: String = name.chars().take(128).map(safe).collect();
-    if mapped.is_empty() || mapped == "." || mapped == ".." || mapped.starts_with('-') {
-        mapped.insert(0, '_');
-        mapped.truncate(128);
-    }
-    mapped
-}
-
 /// An episode id from a file: not empty, not absurdly long, no control characters.
 pub(crate) fn episode_id(id: &str, path: &Path) -> StageResult<String> {
     if id.is_empty() || id.len() > 128 || id.chars().any(char::is_control) {
@@ -171,16 +153,6 @@ pub(crate) fn episode_id(id: &str, path: &Path) -> StageResult<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn names_become_safe() {
-        assert_eq!(safe_name("LAB+a1+2026-01-31-12h:00m"), "LAB+a1+2026-01-31-12h_00m");
-        assert_eq!(safe_name("../x"), ".._x");
-        assert_eq!(safe_name(".."), "_..");
-        assert_eq!(safe_name("-rf"), "_-rf");
-        assert_eq!(safe_name(""), "_");
-        assert_eq!(safe_name(&"ä".repeat(300)).len(), 128);
-    }
 
     #[test]
     fn poses_that_are_not_rigid_are_refused() {

@@ -25,12 +25,12 @@ mod video_libav;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use rogs_schemas::ClipId;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::record::{Record, SchemaId};
 use rogs_schemas::records::clip::Clip;
-use rogs_worker::{Context, Stage, StageResult};
+use rogs_worker::{Context, Stage, StageError, StageResult};
 
-pub use checks::safe_name;
 pub use listing::{EpisodeListing, list_episodes};
 pub use media::{MediaReport, media_report};
 pub use params::{CameraChoice, Fit, LayoutChoice, Params, QueryChoice, QueryPlanName, StateColumns};
@@ -84,6 +84,7 @@ pub fn read_clip(
 ) -> StageResult<(Clip, Vec<String>)> {
     params.check()?;
     let source = layouts::open(root, calibration, params)?;
+    let clip_id = ClipId::new(clip_id).map_err(|error| StageError::bad_params(error.to_string()))?;
     assemble::assemble(source, params, clip_id)
 }
 

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
+use rogs_schemas::ids::safe_name;
 use rogs_worker::{StageError, StageResult};
 use serde::Serialize;
 
-use crate::checks::safe_name;
 use crate::fault::io_error;
 use crate::layouts::{Layout, ctrlworld, detect, lerobot_dataset, rogs_episode};
 

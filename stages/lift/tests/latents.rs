@@ -46,7 +46,7 @@ fn inputs() -> Inputs {
         depth: None,
     };
     let clip = Clip {
-        clip_id: "clip".into(),
+        clip_id: "clip".parse().unwrap(),
         episode_id: "episode".into(),
         layout: "rogs-episode".into(),
         task: String::new(),
@@ -74,7 +74,7 @@ fn inputs() -> Inputs {
         support: vec![0; AREA],
     };
     let robot = RobotMaps {
-        clip_id: "clip".into(),
+        clip_id: "clip".parse().unwrap(),
         link_names: vec!["base".into()],
         base_from_link: vec![RigidPose::IDENTITY; FRAMES],
         base_from_camera: vec![RigidPose::IDENTITY; 3 * FRAMES],
@@ -101,7 +101,7 @@ fn inputs() -> Inputs {
         },
     });
     let conditioning = Conditioning {
-        clip_id: "clip".into(),
+        clip_id: "clip".parse().unwrap(),
         height: SIDE as u32,
         width: SIDE as u32,
         view_maps: view_maps.collect(),

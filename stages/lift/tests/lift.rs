@@ -59,7 +59,7 @@ fn inputs() -> Inputs {
         depth: None,
     });
     let clip = Clip {
-        clip_id: "clip".into(),
+        clip_id: "clip".parse().unwrap(),
         episode_id: "episode".into(),
         layout: "rogs-episode".into(),
         task: String::new(),
@@ -102,7 +102,7 @@ fn inputs() -> Inputs {
         map
     };
     let robot = RobotMaps {
-        clip_id: "clip".into(),
+        clip_id: "clip".parse().unwrap(),
         link_names: vec!["base".into(), "arm".into()],
         base_from_link: (0..FRAMES)
             .flat_map(|frame| [RigidPose::IDENTITY, link_pose(frame)])
@@ -138,7 +138,7 @@ fn inputs() -> Inputs {
         },
     });
     let conditioning = Conditioning {
-        clip_id: "clip".into(),
+        clip_id: "clip".parse().unwrap(),
         height: HEIGHT as u32,
         width: WIDTH as u32,
         view_maps: view_maps.collect(),
@@ -401,7 +401,7 @@ fn inputs_that_do_not_belong_together_are_named() {
             .message
     };
     let params = LiftParams::default();
-    assert!(fail(&params, &|inputs| inputs.robot.clip_id = "other".into()).contains("`other`"));
+    assert!(fail(&params, &|inputs| inputs.robot.clip_id = "other".parse().unwrap()).contains("`other`"));
     assert!(fail(&params, &|inputs| inputs.clip.cameras[1].rgb = None).contains("ext1"));
     assert!(fail(&params, &|inputs| inputs.robot.maps.clear()).contains("robot map"));
     assert!(fail(&params, &|inputs| inputs.conditioning.query_frames[1] = 3).contains("frame 1"));

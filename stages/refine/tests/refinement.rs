@@ -250,7 +250,7 @@ fn records_that_do_not_belong_together_are_refused() {
     };
     let other = support::example(9);
     let mut renamed = other.robot.clone();
-    renamed.clip_id = "floor".into();
+    renamed.clip_id = "floor".parse().unwrap();
     assert!(
         message(ClipInputs {
             robot: &renamed,

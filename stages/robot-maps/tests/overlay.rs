@@ -130,7 +130,7 @@ fn episode() -> (Clip, Robot, RobotMaps) {
         .map(numbers)
         .collect();
     let clip = Clip {
-        clip_id: "0007".into(),
+        clip_id: "0007".parse().unwrap(),
         episode_id: "0007".into(),
         layout: "test".into(),
         task: String::new(),

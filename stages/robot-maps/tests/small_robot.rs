@@ -73,7 +73,7 @@ fn clip() -> Clip {
         ..RigidPose::IDENTITY
     };
     Clip {
-        clip_id: "boxes".into(),
+        clip_id: "boxes".parse().unwrap(),
         episode_id: "boxes".into(),
         layout: "test".into(),
         task: String::new(),

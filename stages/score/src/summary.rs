@@ -124,7 +124,7 @@ impl<'a> SheetSet<'a> {
                 return Err(DuplicateSheet {
                     method: sheet.method.clone(),
                     setting: sheet.setting.clone(),
-                    clip: sheet.clip_id.clone(),
+                    clip: sheet.clip_id.to_string(),
                 });
             }
         }

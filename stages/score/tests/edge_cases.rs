@@ -10,7 +10,7 @@ const RANGE_M: [f32; 2] = [0.1, 5.0];
 
 fn sheet(method: &str, clip: &str) -> ScoreSheet {
     ScoreSheet {
-        clip_id: clip.into(),
+        clip_id: clip.parse().unwrap(),
         method: method.into(),
         setting: "recorded".into(),
         ssim_variant: "skimage-sample-cov".into(),

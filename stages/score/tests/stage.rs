@@ -162,7 +162,7 @@ fn wrong_inputs_are_explained() {
     let (event, scores, _) = Bench::new(&other).run(&serde_json::json!({}), "2");
     assert!(scores.is_none());
     assert!(event["message"].as_str().unwrap().contains("0.3125"), "{event}");
-    other.clip_id = "door".into();
+    other.clip_id = "door".parse().unwrap();
     let (event, _, _) = Bench::new(&other).run(&serde_json::json!({}), "2");
     assert!(
         event["message"].as_str().unwrap().contains("different clips"),

@@ -1,6 +1,7 @@
 //! The records that the pipeline's stages would make of a procedural clip, without files: for training of Stage 2, and to
 //! hold the training clips against the stages themselves.
 
+use rogs_schemas::ClipId;
 use rogs_schemas::records::clip::{
     CameraMount, CameraRole, Clip, ClipCamera, DepthReference, PROCEDURAL_NOTE, RobotStates, Tracks,
 };
@@ -99,7 +100,7 @@ impl ClipBuilder<'_> {
         });
         let states = (0..frames).map(|frame| &self.episode.states[self.plan.first as usize + frame]);
         let clip = Clip {
-            clip_id: self.episode.id(),
+            clip_id: ClipId::made_of(&self.episode.id()),
             episode_id: self.episode.id(),
             layout: "procedural".into(),
             task: self.episode.task(),

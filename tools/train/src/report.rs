@@ -49,7 +49,7 @@ pub(crate) fn write(folder: &RunFolder, title: &str, caption: &str, steps: u64) 
         samples: samples(&folder.path("samples"))?,
     };
     let page = rogs_pages::page(title, STYLE, &body(&run)).into_string();
-    replace(&folder.path("report.html"), page.as_bytes())
+    Ok(rogs_files::write_bytes(&folder.path("report.html"), page.as_bytes())?)
 }
 
 /// The last and the first sample.

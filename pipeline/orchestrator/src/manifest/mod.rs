@@ -1,19 +1,18 @@
 //! The manifest: what a person asks for, as TOML.
 
 mod check;
-mod names;
 mod read;
 mod size;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+pub use rogs_schemas::ids::{is_safe_name, safe_name};
 use rogs_schemas::records::robot::RobotSpec;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-pub use self::names::{is_safe_name, safe_name};
 pub use self::size::parse_size;
 use crate::stage::{StageId, WeightsRole};
 

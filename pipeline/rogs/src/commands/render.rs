@@ -10,6 +10,7 @@ use rogs_geometry::{Base, Camera, Pinhole, Pose, PosedCamera, Recon};
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::units::LengthUnit;
+use rogs_schemas::ids::check_name;
 use rogs_schemas::{Intrinsics, read_record};
 use rogs_splat::{Gaussians, RasterCamera, RasterConfig, RasterDevice, Render};
 use serde::{Deserialize, Serialize};
@@ -294,12 +295,7 @@ fn read_cameras(path: &Path) -> anyhow::Result<Vec<CameraSpec>> {
     };
     ensure!(!cameras.is_empty(), "`{}` holds no camera", path.display());
     for camera in &cameras {
-        let safe = |c: char| c.is_ascii_alphanumeric() || "._+-".contains(c);
-        let name = &camera.name;
-        ensure!(
-            !name.is_empty() && name.chars().all(safe) && !name.starts_with('.'),
-            "camera name `{name}` is no file name: letters, digits and . _ + - only"
-        );
+        check_name(&camera.name).context("the name of a camera becomes that of its files")?;
     }
     Ok(cameras)
 }

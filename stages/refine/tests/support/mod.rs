@@ -87,7 +87,7 @@ pub(crate) fn example_of(sizes: Sizes, seed: u64) -> Example {
         })
         .collect();
     let clip = Clip {
-        clip_id: "wall".into(),
+        clip_id: "wall".parse().unwrap(),
         episode_id: "wall".into(),
         layout: "test".into(),
         task: String::new(),
@@ -108,7 +108,7 @@ pub(crate) fn example_of(sizes: Sizes, seed: u64) -> Example {
         tracks: None,
     };
     let robot = RobotMaps {
-        clip_id: "wall".into(),
+        clip_id: "wall".parse().unwrap(),
         link_names: vec!["base".into()],
         base_from_link: vec![RigidPose::IDENTITY; frames],
         base_from_camera: (0..3).flat_map(|camera| vec![pose(camera); frames]).collect(),

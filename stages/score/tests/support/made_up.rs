@@ -10,7 +10,7 @@ use rogs_score::timing::ClipTiming;
 /// A sheet without scores.
 pub(crate) fn empty_sheet(method: &str, setting: &str, clip: &str) -> ScoreSheet {
     ScoreSheet {
-        clip_id: clip.into(),
+        clip_id: clip.parse().unwrap(),
         method: method.into(),
         setting: setting.into(),
         ssim_variant: "skimage-sample-cov".into(),

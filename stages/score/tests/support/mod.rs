@@ -78,7 +78,7 @@ pub(crate) fn clip(with_references: bool) -> Clip {
     // The third track is lost at frame 9.
     position_m[(2 * FRAMES + 9) * 3] = f32::NAN;
     Clip {
-        clip_id: "wall".into(),
+        clip_id: "wall".parse().unwrap(),
         episode_id: "wall".into(),
         layout: "rogs-episode".into(),
         task: String::new(),
@@ -122,7 +122,7 @@ pub(crate) fn robot() -> RobotMaps {
         }
     };
     RobotMaps {
-        clip_id: "wall".into(),
+        clip_id: "wall".parse().unwrap(),
         link_names: (0..4).map(|index| format!("link{index}")).collect(),
         base_from_link: vec![RigidPose::IDENTITY; FRAMES * 4],
         base_from_camera: vec![LOOKING_ALONG_X; 2 * FRAMES],
@@ -171,7 +171,7 @@ pub(crate) fn field() -> Field {
         moving_raw: vec![],
     };
     Field {
-        clip_id: "wall".into(),
+        clip_id: "wall".parse().unwrap(),
         frame_count: FRAMES as u32,
         height: HEIGHT as u32,
         width: WIDTH as u32,
@@ -201,7 +201,7 @@ pub(crate) fn refinement(field: &KeyMaterial) -> Refinement {
         values: one.map(|value| value * factor).repeat(n),
     };
     Refinement {
-        clip_id: "wall".into(),
+        clip_id: "wall".parse().unwrap(),
         field_key: field.key(),
         gaussian_count: n as u64,
         updates: 2,
@@ -282,7 +282,7 @@ impl Bench {
         let material = material("score", Scores::SCHEMA.to_string(), &params, self.keys.clone());
         let job = Job {
             job: 1,
-            clip_id: "wall".into(),
+            clip_id: "wall".parse().unwrap(),
             inputs: self.inputs.clone(),
             output: output.clone(),
             params,

@@ -10,7 +10,7 @@ use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, Dep
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps, RobotSpec};
 use rogs_schemas::source::ROBOT_MODEL;
-use rogs_schemas::{Intrinsics, RigidPose};
+use rogs_schemas::{ClipId, Intrinsics, RigidPose};
 use rogs_worker::{Context, Stage, StageError, StageResult};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -72,7 +72,7 @@ impl Stage for Ingest {
             }),
         };
         let clip = Clip {
-            clip_id: context.clip_id().into(),
+            clip_id: ClipId::made_of(context.clip_id()),
             episode_id: self.0.episode.clone(),
             layout: "toy".into(),
             task: text.clone(),

@@ -1,0 +1,231 @@
+//! What clips, cameras and frames are called across files and crates.
+
+use std::borrow::Borrow;
+use std::fmt;
+use std::ops::Deref;
+use std::path::Path;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+/// Most bytes of a name.
+const MAX_NAME: usize = 128;
+
+/// A name that is no file name everywhere.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("invalid name {name:?}: expected 1 to 128 letters, digits and `. _ + -`, not `.` or `..`")]
+pub struct InvalidName {
+    /// The name.
+    pub name: String,
+}
+
+/// A name that is a file name everywhere: `[A-Za-z0-9._+-]{1,128}`, not `.` or `..`.
+///
+/// # Errors
+/// When it is not.
+pub fn check_name(name: &str) -> Result<(), InvalidName> {
+    let fits = (1..=MAX_NAME).contains(&name.len()) && name.chars().all(is_safe) && name != "." && name != "..";
+    if fits {
+        Ok(())
+    } else {
+        Err(InvalidName { name: name.to_owned() })
+    }
+}
+
+/// A name for [`check_name`] made of any text: at most 128 characters, others become `_`. It does not begin with `.` or
+/// `-`, so that no listing hides it and no program takes it for an option.
+#[must_use]
+pub fn safe_name(text: &str) -> String {
+    let safe = |c: char| if is_safe(c) { c } else { '_' };
+    let mut name: String = text.chars().take(MAX_NAME).map(safe).collect();
+    if name.is_empty() || name.starts_with(['.', '-']) {
+        name.insert(0, '_');
+        name.truncate(MAX_NAME);
+    }
+    name
+}
+
+/// True for names that [`safe_name`] leaves as they are: those of [`check_name`] that do not begin with `.` or `-`. What
+/// people name in a manifest must be like this.
+#[must_use]
+pub fn is_safe_name(name: &str) -> bool {
+    safe_name(name) == name
+}
+
+fn is_safe(c: char) -> bool {
+    c.is_ascii_alphanumeric() || "._+-".contains(c)
+}
+
+/// Name of a clip, unique in a run; also the name of its folder, so [`check_name`] holds for it.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct ClipId(String);
+
+impl ClipId {
+    /// A clip of this name.
+    ///
+    /// # Errors
+    /// When it cannot be the name of a folder.
+    pub fn new(name: impl Into<String>) -> Result<Self, InvalidName> {
+        let name = name.into();
+        check_name(&name).map(|()| Self(name))
+    }
+
+    /// A name made of any text, as [`safe_name`].
+    #[must_use]
+    pub fn made_of(text: &str) -> Self {
+        Self(safe_name(text))
+    }
+
+    /// The name.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl TryFrom<String> for ClipId {
+    type Error = InvalidName;
+
+    fn try_from(name: String) -> Result<Self, InvalidName> {
+        Self::new(name)
+    }
+}
+
+impl FromStr for ClipId {
+    type Err = InvalidName;
+
+    fn from_str(name: &str) -> Result<Self, InvalidName> {
+        Self::new(name)
+    }
+}
+
+impl From<ClipId> for String {
+    fn from(id: ClipId) -> Self {
+        id.0
+    }
+}
+
+impl Deref for ClipId {
+    type Target = str;
+
+    fn deref(&self) -> &str {
+        &self.0
+    }
+}
+
+impl Borrow<str> for ClipId {
+    fn borrow(&self) -> &str {
+        &self.0
+    }
+}
+
+impl AsRef<Path> for ClipId {
+    fn as_ref(&self) -> &Path {
+        self.0.as_ref()
+    }
+}
+
+impl fmt::Display for ClipId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl PartialEq<str> for ClipId {
+    fn eq(&self, other: &str) -> bool {
+        self.0 == other
+    }
+}
+
+impl PartialEq<&str> for ClipId {
+    fn eq(&self, other: &&str) -> bool {
+        self.0 == *other
+    }
+}
+
+macro_rules! index_newtype {
+    ($(#[$doc:meta])* $name:ident) => {
+        $(#[$doc])*
+        #[derive(
+            Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize, schemars::JsonSchema,
+        )]
+        #[serde(transparent)]
+        pub struct $name(pub u32);
+
+        impl $name {
+            /// The place in an array that has one entry each.
+            #[must_use]
+            pub const fn index(self) -> usize {
+                self.0 as usize
+            }
+
+            /// These numbers, in order.
+            #[must_use]
+            pub fn list(numbers: &[u32]) -> Vec<Self> {
+                numbers.iter().copied().map(Self).collect()
+            }
+        }
+
+        impl fmt::Display for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                fmt::Display::fmt(&self.0, f)
+            }
+        }
+
+        /// As the plain number, since messages show lists of them.
+        impl fmt::Debug for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                fmt::Debug::fmt(&self.0, f)
+            }
+        }
+    };
+}
+
+index_newtype! {
+    /// A camera of a clip: its place in [`Clip::cameras`](crate::records::clip::Clip::cameras).
+    CameraIndex
+}
+
+index_newtype! {
+    /// A frame of a clip, counted from the clip's first one (not from the episode's).
+    FrameIndex
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_checked() {
+        let long = "a".repeat(MAX_NAME);
+        for good in ["a", "LAB+a1+2026-01-31-12h-00m", "...", "-rf", ".hidden", &long] {
+            assert_eq!(ClipId::new(good).unwrap(), good);
+        }
+        for bad in ["", ".", "..", "a/b", "a b", "ä", "a\n", &format!("{long}a")] {
+            let error = ClipId::new(bad).unwrap_err().to_string();
+            assert!(error.contains("1 to 128 letters"), "{error}");
+        }
+    }
+
+    #[test]
+    fn names_become_safe() {
+        assert_eq!(safe_name("LAB+a1+2026-01-31-12h:00m"), "LAB+a1+2026-01-31-12h_00m");
+        assert_eq!(safe_name("../x"), "_.._x");
+        assert_eq!(safe_name(".."), "_..");
+        assert_eq!(safe_name("-rf"), "_-rf");
+        assert_eq!(safe_name(""), "_");
+        assert_eq!(safe_name(&"ä".repeat(300)).len(), MAX_NAME);
+        assert_eq!(safe_name(&"-".repeat(MAX_NAME)).len(), MAX_NAME);
+        assert!(is_safe_name("movies+4dgt") && !is_safe_name("-rf") && !is_safe_name(".x") && !is_safe_name("a/b"));
+    }
+
+    #[test]
+    fn json_shows_plain_values() {
+        let id = ClipId::new("kitchen-0").unwrap();
+        assert_eq!(serde_json::to_string(&id).unwrap(), "\"kitchen-0\"");
+        assert_eq!(serde_json::from_str::<ClipId>("\"kitchen-0\"").unwrap(), id);
+        assert!(serde_json::from_str::<ClipId>("\"..\"").is_err());
+        assert_eq!(serde_json::to_string(&FrameIndex::list(&[0, 4])).unwrap(), "[0,4]");
+    }
+}
