@@ -4,7 +4,7 @@ use std::path::Path;
 
 use rogs_geometry::{Base, Camera, Pose};
 use rogs_schemas::{Intrinsics, RigidPose};
-use rogs_worker::{StageError, StageResult};
+use rogs_worker::StageResult;
 
 use crate::fault::wrong;
 use crate::source::States;

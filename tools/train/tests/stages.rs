@@ -135,7 +135,7 @@ fn weights_say_what_they_were_trained_on() {
         clip.calibration_note = "measured".into();
         let warning = model.out_of_distribution(&clip).unwrap();
         assert!(
-            warning.starts_with("OUT OF DISTRIBUTION") && warning.contains(&clip.clip_id),
+            warning.starts_with("OUT OF DISTRIBUTION") && warning.contains(clip.clip_id.as_str()),
             "{warning}"
         );
     }

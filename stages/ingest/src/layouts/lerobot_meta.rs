@@ -7,7 +7,7 @@ use rogs_worker::{StageError, StageResult};
 use serde::Deserialize;
 
 use super::parquet_table::Table;
-use crate::fault::{read_text, wrong};
+use crate::fault::{io_error, read_text, wrong};
 
 /// Longest file of the metadata, bytes.
 const MAX_JSON: u64 = 256 << 20;
