@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use rogs_orchestrator::plan::{Plan, Unit, UnitKey, read_plan};
+use rogs_orchestrator::plan::{Plan, UnitKey, WorkUnit, read_plan};
 use rogs_schemas::ledger::{Attempt, append};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
 use rogs_schemas::records::field::WeightsInfo;
@@ -37,7 +37,7 @@ pub(crate) fn make_run(run: &Path) {
     std::fs::write(run.join("plan.jsonl"), plan_lines()).unwrap();
     let plan = read_plan(run).unwrap();
     for (index, clip) in plan.clips.iter().enumerate() {
-        let (keys, unit) = (plan.keys(index), |node| Unit { clip: index, node });
+        let (keys, unit) = (plan.keys(index), |node| WorkUnit { clip: index, node });
         if clip.id == "lid" {
             let failure = json!({
                 "code": "bad_input",
@@ -127,7 +127,7 @@ fn cost(node: usize, clip: usize) -> Value {
 }
 
 /// Writes a line of the ledger.
-fn note(plan: &Plan, unit: Unit, keys: &[UnitKey], more: Value) {
+fn note(plan: &Plan, unit: WorkUnit, keys: &[UnitKey], more: Value) {
     let mut line = json!({
         "unix_ms": 1, "clip_id": plan.clips[unit.clip].id, "stage": plan.nodes[unit.node].stage,
         "output": plan.output(unit, keys), "key": keys[unit.node].key, "worker": "host-1",
@@ -138,7 +138,7 @@ fn note(plan: &Plan, unit: Unit, keys: &[UnitKey], more: Value) {
 }
 
 /// Writes an output with the key of the plan.
-fn write<T: Record>(plan: &Plan, unit: Unit, keys: &[UnitKey], record: &T) -> PathBuf {
+fn write<T: Record>(plan: &Plan, unit: WorkUnit, keys: &[UnitKey], record: &T) -> PathBuf {
     let path = plan.run.join(plan.output(unit, keys));
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     let provenance = Provenance {
@@ -193,7 +193,7 @@ fn the_clip(id: &str) -> Clip {
         link_from_camera: RigidPose::IDENTITY,
     };
     Clip {
-        clip_id: id.to_owned(),
+        clip_id: id.parse().unwrap(),
         episode_id: format!("<b>&\"{id}\""),
         layout: "rogs-episode".to_owned(),
         task: "<script>alert(1)</script>".to_owned(),
@@ -244,7 +244,7 @@ fn robot_maps(id: &str) -> RobotMaps {
         link: links.clone(),
     };
     RobotMaps {
-        clip_id: id.to_owned(),
+        clip_id: id.parse().unwrap(),
         link_names: vec!["base".to_owned(), "hand".to_owned()],
         base_from_link: vec![RigidPose::IDENTITY; 2 * FRAMES as usize],
         base_from_camera: vec![RigidPose::IDENTITY; 3 * FRAMES as usize],
@@ -295,7 +295,7 @@ fn scores(clip: &str, method: &str, order: usize, index: usize) -> Scores {
     let main = !method.contains('/');
     Scores {
         summary: ScoreSheet {
-            clip_id: clip.to_owned(),
+            clip_id: clip.parse().unwrap(),
             method: method.to_owned(),
             setting: "recorded".to_owned(),
             ssim_variant: "skimage-sample-cov".to_owned(),
