@@ -1,26 +1,70 @@
-//! Blocked softmax attention on packed queries, keys and values.
+//! Blocked softmax attention.
 //!
 //! Scores of some query rows against all keys are one matrix product, their softmax runs in place, and a second product
-//! with the values writes the output; nothing of size tokens x tokens is ever held.
+//! with the values writes the output; nothing of size tokens x tokens is ever held ([`Head`]). [`PackedAttention`] runs all
+//! heads of token lists whose queries, keys and values come from one projection.
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::pointwise::exp;
-use super::product::{PackedWeight, Precision};
-use crate::vectorised;
+use crate::pointwise::exp;
+use crate::{Matrix, Norm, PackedWeight, Precision, vectorised};
 
 /// Query rows of a task: their scores against some thousand keys should fit the second-level cache.
 const ROWS: usize = 60;
 
-/// Affine map and epsilon of the norm of queries or keys. `[head size]` each
-pub struct HeadNorm<'a> {
-    /// `[head size]`
-    pub weight: &'a [f32],
-    /// `[head size]`
-    pub bias: &'a [f32],
-    /// Added to the variance.
-    pub epsilon: f32,
+/// Keys and values of one head, packed for products.
+#[derive(Debug)]
+pub struct Head {
+    keys: PackedWeight,
+    values: PackedWeight,
+}
+
+impl Head {
+    /// Packs keys and values. `[T, size]` each
+    #[must_use]
+    pub fn new(keys: Matrix<'_>, values: Matrix<'_>, precision: Precision) -> Self {
+        Self {
+            keys: PackedWeight::of(keys, precision),
+            values: PackedWeight::of(values.transposed(), precision),
+        }
+    }
+
+    /// softmax(q k^T) v + bias for queries that are scaled, on the calling thread; rows of `output` are `stride` apart.
+    /// `scores` is memory to be used again. `queries [n, size]`, `bias [size]`
+    pub fn attend(&self, queries: &[f32], bias: &[f32], output: &mut [f32], stride: usize, scores: &mut Vec<f32>) {
+        let (size, tokens) = (self.values.outputs(), self.keys.outputs());
+        for (queries, output) in queries.chunks(ROWS * size).zip(output.chunks_mut(ROWS * stride)) {
+            scores.resize(queries.len() / size * tokens, 0.0);
+            self.keys.rows(queries, scores, tokens, |_, _, _| {});
+            let mut inverses = [0.0f32; ROWS];
+            for (row, inverse) in scores.chunks_exact_mut(tokens).zip(&mut inverses) {
+                *inverse = 1.0 / Arch::new().dispatch(Exponentials(row));
+            }
+            self.values.rows(
+                scores,
+                output,
+                stride,
+                // The weights of a row sum to one, so the bias of the values adds to their mean.
+                #[inline(always)]
+                |row, column, values| {
+                    for (value, bias) in values.iter_mut().zip(&bias[column..]) {
+                        *value = value.mul_add(inverses[row], *bias);
+                    }
+                },
+            );
+        }
+    }
+
+    /// softmax(q k^T) for queries that are scaled, on the calling thread. `[n, size] -> [n, T]`
+    pub fn weights(&self, queries: &[f32], weights: &mut [f32]) {
+        let tokens = self.keys.outputs();
+        self.keys.rows(queries, weights, tokens, |_, _, _| {});
+        for row in weights.chunks_exact_mut(tokens) {
+            let inverse = 1.0 / Arch::new().dispatch(Exponentials(row));
+            row.iter_mut().for_each(|weight| *weight *= inverse);
+        }
+    }
 }
 
 /// Attention of a batch of token lists.
@@ -36,7 +80,7 @@ pub struct PackedAttention<'a> {
     /// Channels of a head.
     pub size: usize,
     /// Norms of queries and keys.
-    pub norms: Option<[HeadNorm<'a>; 2]>,
+    pub norms: Option<[Norm<'a>; 2]>,
     /// Rotary cosines and signed sines, `[period, head size]` each, where the positions repeat after `period` tokens.
     pub rotary: Option<[&'a [f32]; 2]>,
     /// Numbers of the products.
@@ -61,15 +105,13 @@ impl PackedAttention<'_> {
             .for_each(|(output, packed)| {
                 let queries = self.prepare(packed, 0, 1.0 / (size as f32).sqrt());
                 let keys = self.prepare(packed, 1, 1.0);
-                let sides: Vec<[PackedWeight; 2]> = (0..heads)
+                let packed: Vec<Head> = (0..heads)
                     .into_par_iter()
                     .map(|head| {
-                        let keys = &keys[head * tokens * size..][..tokens * size];
+                        let keys = Matrix::new(&keys[head * tokens * size..][..tokens * size], size);
                         let values = &packed[2 * width + head * size..];
-                        [
-                            PackedWeight::new(keys, size, self.precision),
-                            PackedWeight::strided(values, [size, tokens], [1, 3 * width], self.precision),
-                        ]
+                        let values = Matrix::strided(values, [tokens, size], [3 * width, 1]);
+                        Head::new(keys, values, self.precision)
                     })
                     .collect();
                 output
@@ -77,11 +119,10 @@ impl PackedAttention<'_> {
                     .enumerate()
                     .for_each_init(Vec::new, |scores, (block, output)| {
                         let rows = output.len() / width;
-                        for (head, sides) in sides.iter().enumerate() {
-                            let first = (head * tokens + block * ROWS) * size;
+                        for (head, packed) in packed.iter().enumerate() {
+                            let queries = &queries[(head * tokens + block * ROWS) * size..][..rows * size];
                             let bias = &self.bias[2 * width + head * size..][..size];
-                            let output = &mut output[head * size..];
-                            attend(&queries[first..first + rows * size], sides, bias, output, width, scores);
+                            packed.attend(queries, bias, &mut output[head * size..], width, scores);
                         }
                     });
             });
@@ -109,7 +150,7 @@ impl PackedAttention<'_> {
                                 .zip(values)
                                 .for_each(|(out, (value, bias))| *out = value + bias);
                             if let Some(norms) = &self.norms {
-                                normalise(out, &norms[part]);
+                                norms[part].apply_in_order(out);
                             }
                             if let Some([cosine, sine]) = self.rotary {
                                 let place = (token * size) % cosine.len();
@@ -122,36 +163,6 @@ impl PackedAttention<'_> {
             });
         result
     }
-}
-
-/// One head of one block of query rows; rows of `output` are `stride` apart. `scores` is memory to be used again.
-fn attend(
-    queries: &[f32],
-    [keys, values]: &[PackedWeight; 2],
-    bias: &[f32],
-    output: &mut [f32],
-    stride: usize,
-    scores: &mut Vec<f32>,
-) {
-    let (rows, tokens) = (queries.len() / bias.len(), keys.outputs());
-    scores.resize(rows * tokens, 0.0);
-    keys.rows(queries, scores, tokens, |_, _, _| {});
-    let mut inverses = [0.0f32; ROWS];
-    for (row, inverse) in scores.chunks_exact_mut(tokens).zip(&mut inverses) {
-        *inverse = 1.0 / Arch::new().dispatch(Exponentials(row));
-    }
-    values.rows(
-        scores,
-        output,
-        stride,
-        // The weights of a row sum to one, so the bias of the values adds to their mean.
-        #[inline(always)]
-        |row, column, values| {
-            for (value, bias) in values.iter_mut().zip(&bias[column..]) {
-                *value = value.mul_add(inverses[row], *bias);
-            }
-        },
-    );
 }
 
 /// Replaces the scores of a row by e^(score - largest) and returns their sum.
@@ -177,17 +188,6 @@ impl WithSimd for Exponentials<'_> {
             sum = simd.add_f32s(sum, vector);
         }
         rest.iter().fold(simd.reduce_sum_f32s(sum), |a, &b| a + b)
-    }
-}
-
-#[inline(always)]
-fn normalise(values: &mut [f32], norm: &HeadNorm<'_>) {
-    let count = values.len() as f32;
-    let mean = values.iter().sum::<f32>() / count;
-    let variance = values.iter().map(|value| (value - mean) * (value - mean)).sum::<f32>() / count;
-    let inverse = 1.0 / (variance + norm.epsilon).sqrt();
-    for ((value, weight), bias) in values.iter_mut().zip(norm.weight).zip(norm.bias) {
-        *value = ((*value - mean) * inverse).mul_add(*weight, *bias);
     }
 }
 

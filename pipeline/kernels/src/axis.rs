@@ -11,16 +11,17 @@ pub struct Axis {
 
 impl Axis {
     /// The axis of so many inputs and outputs.
+    #[must_use]
     pub fn new(inputs: usize, outputs: usize) -> Self {
         let step = if outputs > 1 {
-            (inputs - 1) as f64 / (outputs - 1) as f64
+            (inputs - 1) as f32 / (outputs - 1) as f32
         } else {
             0.0
         };
         let tap = |output: usize| {
-            let place = output as f64 * step;
-            let first = (place as usize).min(inputs.saturating_sub(2));
-            (first, (place - first as f64) as f32)
+            let place = step * output as f32;
+            let first = (place as usize).min(inputs - 1);
+            (first, place - first as f32)
         };
         Self {
             inputs,
@@ -29,11 +30,14 @@ impl Axis {
     }
 
     /// The second neighbour of a first one.
+    #[inline(always)]
+    #[must_use]
     pub fn second(&self, first: usize) -> usize {
         (first + 1).min(self.inputs - 1)
     }
 
     /// The same as a matrix: outputs are its product with the inputs. `[outputs, inputs]`
+    #[must_use]
     pub fn matrix(&self) -> Vec<f32> {
         let mut matrix = vec![0.0; self.taps.len() * self.inputs];
         for (row, &(first, share)) in matrix.chunks_exact_mut(self.inputs).zip(&self.taps) {

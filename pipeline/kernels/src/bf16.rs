@@ -4,7 +4,7 @@
 //! processor's instruction does, so processors without it give the same bits from the portable code, only slower; except
 //! below 1.2e-38, which the instruction takes for zero.
 
-use super::product::{COLUMNS, DEPTH, Tile};
+use super::tile::{COLUMNS, Line};
 use crate::vectorised;
 
 /// Two numbers rounded to bfloat16 (to nearest, ties to even), the first in the lower half.
@@ -90,31 +90,34 @@ pub(crate) fn multiply_add_each(first: &[u16], second: &[u16], sums: &mut [f32])
     }
 }
 
-/// Adds the products of one tile: `values [ROWS][DEPTH]`, `weights [pairs][COLUMNS]`.
-pub(crate) fn tile(values: &[u32], weights: &[u32], sums: &mut Tile) {
+/// Adds the products of at most [`ROWS`](super::tile::ROWS) rows and one panel of weights, as [`super::product::product`]
+/// does: chunk `c` of row `r` is line `c * stride + r` of `values`, which has a line for every row of a tile.
+pub(crate) fn product(values: &[Line], stride: usize, weights: &[Line], sums: &mut [Line]) {
     #[cfg(target_arch = "x86_64")]
     if is_available() {
-        x86::tile(values, weights, sums);
+        x86::product(values, stride, weights, sums);
         return;
     }
-    portable_tile(values, weights, sums);
+    portable_product(values, stride, weights, sums);
 }
 
 /// The same in code for any processor.
-fn portable_tile(values: &[u32], weights: &[u32], sums: &mut Tile) {
+fn portable_product(values: &[Line], stride: usize, weights: &[Line], sums: &mut [Line]) {
     vectorised(
         #[inline(always)]
         || {
-            for (pair, weights) in weights.chunks_exact(COLUMNS).enumerate() {
-                for (row, sums) in sums.iter_mut().enumerate() {
-                    multiply_add(values[row * DEPTH + pair], weights, sums);
+            for (values, weights) in values.chunks(stride).zip(weights.chunks(COLUMNS)) {
+                for (unit, weights) in weights.iter().enumerate() {
+                    for (values, sums) in values.iter().zip(sums.iter_mut()) {
+                        multiply_add(values.pairs()[unit], weights.pairs(), &mut sums.0);
+                    }
                 }
             }
         },
     );
 }
 
-/// The tile by the instruction `vdpbf16ps` (AVX512_BF16), which compilers do not find by themselves.
+/// The products by the instruction `vdpbf16ps` (AVX512_BF16), which compilers do not find by themselves.
 #[cfg(target_arch = "x86_64")]
 #[allow(unsafe_code)]
 mod x86 {
@@ -122,49 +125,57 @@ mod x86 {
         _mm512_dpbf16_ps, _mm512_loadu_ps, _mm512_loadu_si512, _mm512_set1_epi32, _mm512_setzero_ps, _mm512_storeu_ps,
     };
 
-    use super::{COLUMNS, DEPTH, Tile, as_pairs, is_available};
-    use crate::product::{ROWS, for_rows};
+    use super::{COLUMNS, Line, as_pairs, is_available};
+    use crate::tile::{ROWS, for_rows};
 
-    /// Adds the products of one tile; only where [`is_available`].
-    pub(crate) fn tile(values: &[u32], weights: &[u32], sums: &mut Tile) {
-        assert!(is_available() && values.len() >= ROWS * DEPTH && weights.len() <= DEPTH * COLUMNS);
-        // SAFETY: the features are there and the slices are long enough (asserted above).
-        unsafe { fill(values, weights, sums) };
+    /// Adds the products; only where [`is_available`].
+    pub(crate) fn product(values: &[Line], stride: usize, weights: &[Line], sums: &mut [Line]) {
+        assert!(is_available() && stride >= ROWS && sums.len() <= ROWS);
+        assert!(values.len() >= weights.len().div_ceil(COLUMNS) * stride);
+        let mut total = [Line::ZERO; ROWS];
+        total[..sums.len()].copy_from_slice(sums);
+        // SAFETY: the features are there and the slice is long enough (asserted above).
+        unsafe { fill(values, stride, weights, &mut total) };
+        sums.copy_from_slice(&total[..sums.len()]);
     }
 
     /// # Safety
-    /// `values` holds `ROWS * DEPTH` pairs, `weights` at most `DEPTH` times `COLUMNS`.
+    /// `values` holds `stride` lines, at least [`ROWS`], for each [`COLUMNS`] weights.
     #[target_feature(enable = "avx512f,avx512bf16")]
-    unsafe fn fill(values: &[u32], weights: &[u32], sums: &mut Tile) {
+    unsafe fn fill(values: &[Line], stride: usize, weights: &[Line], sums: &mut [Line; ROWS]) {
         let mut total = [[_mm512_setzero_ps(); 2]; ROWS];
         for_rows!(|ROW| {
-            // SAFETY: a row of the tile holds two vectors of sixteen sums.
+            // SAFETY: a line holds two vectors of sixteen sums.
             unsafe {
-                let row = sums[ROW].as_ptr();
+                let row = sums[ROW].0.as_ptr();
                 total[ROW] = [_mm512_loadu_ps(row), _mm512_loadu_ps(row.add(COLUMNS / 2))];
             }
         });
-        for (pair, weights) in weights.chunks_exact(COLUMNS).enumerate() {
-            // SAFETY: a chunk holds two vectors of sixteen pairs.
-            let [low, high] = unsafe {
-                [
-                    _mm512_loadu_si512(weights.as_ptr().cast()),
-                    _mm512_loadu_si512(weights.as_ptr().add(COLUMNS / 2).cast()),
-                ]
-            };
-            let [low, high] = [as_pairs(low), as_pairs(high)];
-            for_rows!(|ROW| {
-                // SAFETY: `pair < DEPTH`, as `weights` has at most so many chunks, and `values` holds all rows.
-                let value = unsafe { *values.get_unchecked(ROW * DEPTH + pair) };
-                let value = as_pairs(_mm512_set1_epi32(value.cast_signed()));
-                total[ROW][0] = _mm512_dpbf16_ps(total[ROW][0], value, low);
-                total[ROW][1] = _mm512_dpbf16_ps(total[ROW][1], value, high);
-            });
+        for (chunk, weights) in weights.chunks(COLUMNS).enumerate() {
+            for (unit, weights) in weights.iter().enumerate() {
+                let weights = weights.pairs();
+                // SAFETY: a line holds two vectors of sixteen pairs.
+                let [low, high] = unsafe {
+                    [
+                        _mm512_loadu_si512(weights.as_ptr().cast()),
+                        _mm512_loadu_si512(weights.as_ptr().add(COLUMNS / 2).cast()),
+                    ]
+                };
+                let [low, high] = [as_pairs(low), as_pairs(high)];
+                for_rows!(|ROW| {
+                    // SAFETY: `ROW < stride`, and `values` holds the lines of all chunks; `unit < COLUMNS`, as a chunk has
+                    // at most so many weights.
+                    let value = unsafe { *values.get_unchecked(chunk * stride + ROW).pairs().get_unchecked(unit) };
+                    let value = as_pairs(_mm512_set1_epi32(value.cast_signed()));
+                    total[ROW][0] = _mm512_dpbf16_ps(total[ROW][0], value, low);
+                    total[ROW][1] = _mm512_dpbf16_ps(total[ROW][1], value, high);
+                });
+            }
         }
         for_rows!(|ROW| {
             // SAFETY: as above.
             unsafe {
-                let row = sums[ROW].as_mut_ptr();
+                let row = sums[ROW].0.as_mut_ptr();
                 _mm512_storeu_ps(row, total[ROW][0]);
                 _mm512_storeu_ps(row.add(COLUMNS / 2), total[ROW][1]);
             }
@@ -174,9 +185,9 @@ mod x86 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::product::ROWS;
-    use super::super::product::tests::noise;
     use super::*;
+    use crate::noise::noise;
+    use crate::tile::ROWS;
 
     #[test]
     fn rounding_is_to_nearest_and_ties_to_even() {
@@ -206,21 +217,28 @@ mod tests {
 
     #[test]
     fn the_instruction_and_the_portable_code_give_the_same_bits() {
-        let pairs = |count: usize, seed| {
-            let values = noise(2 * count, seed);
-            values
-                .chunks_exact(2)
-                .map(|two| pair(two[0], two[1]))
-                .collect::<Vec<u32>>()
+        let lines = |count: usize, seed| -> Vec<Line> {
+            let mut lines = vec![Line::ZERO; count];
+            let values = noise(2 * COLUMNS * count, seed);
+            for (line, values) in lines.iter_mut().zip(values.chunks_exact(2 * COLUMNS)) {
+                pack(values, line.pairs_mut());
+            }
+            lines
         };
-        let (values, weights) = (pairs(ROWS * DEPTH, 5), pairs(DEPTH * COLUMNS, 6));
-        let mut found = [[0.5; COLUMNS]; ROWS];
-        let mut expected = found;
-        tile(&values, &weights, &mut found);
-        portable_tile(&values, &weights, &mut expected);
-        assert_eq!(
-            found.map(|row| row.map(f32::to_bits)),
-            expected.map(|row| row.map(f32::to_bits))
-        );
+        // Two chunks and a part of one.
+        let (values, weights) = (lines(3 * ROWS, 5), lines(2 * COLUMNS + 7, 6));
+        for rows in [1, 7, ROWS] {
+            let mut found = vec![Line([0.5; COLUMNS]); rows];
+            let mut expected = found.clone();
+            product(&values, ROWS, &weights, &mut found);
+            portable_product(&values, ROWS, &weights, &mut expected);
+            let bits = |lines: &[Line]| {
+                lines
+                    .iter()
+                    .flat_map(|line| line.0.map(f32::to_bits))
+                    .collect::<Vec<u32>>()
+            };
+            assert_eq!(bits(&found), bits(&expected));
+        }
     }
 }

@@ -16,6 +16,20 @@ pub fn largest(values: &[f32]) -> f32 {
     lanes.into_iter().fold(f32::NEG_INFINITY, f32::max)
 }
 
+/// The sum of the products of two rows.
+#[inline(always)]
+pub(crate) fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
+    let mut lanes = [0.0; LANES];
+    for (a, b) in a.iter().zip(b) {
+        for ((lane, a), b) in lanes.iter_mut().zip(a).zip(b) {
+            *lane += a * b;
+        }
+    }
+    let rest: f32 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
+    lanes.iter().sum::<f32>() + rest
+}
+
 /// Every lane joins each sixteenth value.
 #[inline(always)]
 fn reduce(values: &[f32], start: f32, join: impl Fn(f32, f32) -> f32) -> [f32; LANES] {
@@ -42,6 +56,7 @@ mod tests {
         for count in [1usize, 15, 16, 17, 50] {
             let values: Vec<f32> = (0..count).map(|k| ((k * 7) % 11) as f32 - 20.0).collect();
             assert_eq!(sum(&values, |value| 2.0 * value), 2.0 * values.iter().sum::<f32>());
+            assert_eq!(dot(&values, &values), values.iter().map(|value| value * value).sum());
             assert_eq!(Some(largest(&values)), values.iter().copied().reduce(f32::max));
         }
     }

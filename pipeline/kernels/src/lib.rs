@@ -18,35 +18,36 @@ mod attention;
 mod axis;
 mod bf16;
 mod conv;
-mod conv_pairs;
-mod dense_tail;
+mod cubic;
 pub mod lanes;
+mod layers;
+mod matrix;
+mod neighbours;
+#[cfg(test)]
+mod noise;
+mod norm;
+mod plane;
 pub mod pointwise;
+mod pool;
 mod product;
-pub mod products;
 mod rotary;
-pub mod rows;
 pub mod sweep;
+mod tile;
 mod transpose;
 mod vectorised;
-mod weight_gradient;
-mod weight_pairs;
-mod winograd;
 
-pub use attention::{HeadNorm, PackedAttention};
+pub use attention::{Head, PackedAttention};
 pub use axis::Axis;
-pub use conv::{After, Conv3x3};
-pub use dense_tail::DenseTail;
-pub use pointwise::gelu;
-pub use product::{PackedWeight, Precision};
+pub use conv::{After, Conv, Conv3x3, DenseTail, Maps, TileSize, Winograd, weight_gradient};
+pub use cubic::{CubicTaps, cubic_taps};
+pub use layers::{LayerNorm, Linear, ROWS_PER_PIECE};
+pub use matrix::{Matrix, Precision};
+pub use neighbours::neighbour_attention;
+pub use norm::{Norm, moments};
+pub use plane::{Plane, add_resized};
+pub use pool::MaxPool;
+pub use product::PackedWeight;
 pub use rotary::RotaryTable;
 pub use sweep::{Partner, Sweep, Taps};
 pub use transpose::transposed;
 pub use vectorised::vectorised;
-pub use weight_gradient::{Maps, weight_gradient};
-pub use winograd::Winograd;
-
-/// Values of a layer do not have the sizes its configuration says.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{0}")]
-pub struct ShapeError(pub String);

@@ -1,5 +1,7 @@
 //! Elementwise functions that the compiler turns into vector code.
 
+use crate::vectorised;
+
 /// e^x for x in about [-87, 88], to about 2 units in the last place; smaller arguments give 0 or nearly so.
 #[inline(always)]
 pub fn exp(x: f32) -> f32 {
@@ -46,6 +48,33 @@ pub fn gelu_slope(x: f32) -> f32 {
     const DENSITY: f32 = 0.398_942_3;
     let (below, bell) = normal(x);
     (x * DENSITY).mul_add(bell, below)
+}
+
+/// [`gelu`] of all values, in place, on the calling thread.
+pub fn gelu_in_place(x: &mut [f32]) {
+    vectorised(
+        #[inline(always)]
+        || {
+            for value in x.iter_mut() {
+                *value = gelu(*value);
+            }
+        },
+    );
+}
+
+/// max(x, 0) of all values, in place.
+pub fn relu_in_place(x: &mut [f32]) {
+    for value in x {
+        *value = value.max(0.0);
+    }
+}
+
+/// Adds `y` to `x` value by value.
+#[inline(always)]
+pub fn add_assign(x: &mut [f32], y: &[f32]) {
+    for (x, y) in x.iter_mut().zip(y) {
+        *x += y;
+    }
 }
 
 #[cfg(test)]

@@ -1,73 +1,36 @@
 //! Matrix products x W^T on slices.
 //!
-//! Weights are packed into panels of [`COLUMNS`] outputs, inputs into strips of [`ROWS`] rows, both in blocks of [`DEPTH`]
-//! units, so that a tile's operands lie in the first-level cache and its sums in registers. A unit is one f32, or a pair of
-//! numbers rounded to bfloat16 whose products are summed in f32 ([`Precision::Bf16`]). A sum takes its terms in ascending
-//! order block by block, whatever the number of threads.
+//! Weights are packed into panels of [`COLUMNS`] outputs. Rows of the left operand lie in chunks of as many units, a strip
+//! of at most [`ROWS`] rows at a time: units are summed in blocks of [`DEPTH`], so that a tile's operands lie in the
+//! first-level cache and its sums in registers. A unit is one f32, or a pair of numbers rounded to bfloat16 whose products
+//! are summed in f32 ([`Precision::Bf16`]). A sum takes its terms in ascending order, whatever the number of threads, of
+//! rows in a strip and of units in a block.
 
 use std::cell::Cell;
+use std::ops::Range;
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::{bf16, vectorised};
+use crate::tile::{COLUMNS, Line, ROWS, copy, for_rows, resized};
+use crate::{Matrix, Precision, bf16, vectorised};
 
-/// Rows of a tile.
-pub(crate) const ROWS: usize = 12;
-/// Columns of a tile.
-pub(crate) const COLUMNS: usize = 32;
 /// Units that are summed in one go.
-pub(crate) const DEPTH: usize = 256;
+const DEPTH: usize = 256;
+/// Lines of a strip.
+const STRIP: usize = DEPTH / COLUMNS * ROWS;
 /// Rows of a task.
 const TASK_ROWS: usize = 20 * ROWS;
 
-/// Repeats code for every row of a tile, a constant in it, so that sums stay in registers at any optimisation level.
-macro_rules! for_rows {
-    (|$row:ident| $body:block) => {
-        for_rows!(@ $row $body 0 1 2 3 4 5 6 7 8 9 10 11)
-    };
-    (@ $row:ident $body:block $($index:literal)*) => {
-        $({
-            const $row: usize = $index;
-            $body
-        })*
-    };
-}
-pub(crate) use for_rows;
-
-/// The sums of a tile.
-pub(crate) type Tile = [[f32; COLUMNS]; ROWS];
-
 thread_local! {
-    /// Packed rows, kept from one product to the next.
-    static SCRATCH: Cell<Vec<u32>> = const { Cell::new(Vec::new()) };
+    /// Strips of the left operand, kept from one product to the next.
+    static SCRATCH: Cell<Vec<Line>> = const { Cell::new(Vec::new()) };
 }
 
-/// Numbers that large matrix products are made of. Everything else is f32.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Precision {
-    /// f32 throughout.
-    #[default]
-    F32,
-    /// Operands rounded to bfloat16, sums in f32: faster on processors with AVX512_BF16, the same bits on others. Only
-    /// without gradients on the CPU; elsewhere this is as [`Self::F32`].
-    Bf16,
-}
-
-impl Precision {
-    /// Numbers in a unit.
-    fn numbers(self) -> usize {
-        match self {
-            Self::F32 => 1,
-            Self::Bf16 => 2,
-        }
-    }
-}
-
-/// Weights packed for products. `[blocks][panels][units of the block][COLUMNS]`
+/// Weights packed for products. `[panels][units]`, a line for each unit
 #[derive(Debug, Clone)]
 pub struct PackedWeight {
-    units: Vec<u32>,
+    lines: Vec<Line>,
     inputs: usize,
     outputs: usize,
     precision: Precision,
@@ -75,73 +38,26 @@ pub struct PackedWeight {
 
 impl PackedWeight {
     /// Packs weights as PyTorch stores them. `[outputs, inputs]`
+    #[must_use]
     pub fn new(weight: &[f32], inputs: usize, precision: Precision) -> Self {
-        Self::strided(weight, [weight.len() / inputs.max(1), inputs], [inputs, 1], precision)
+        Self::of(Matrix::new(weight, inputs), precision)
     }
 
-    /// Packs weights `(output, input)` that lie at `output * strides[0] + input * strides[1]`.
-    pub fn strided(weight: &[f32], [outputs, inputs]: [usize; 2], strides: [usize; 2], precision: Precision) -> Self {
-        let (numbers, panels) = (precision.numbers(), outputs.div_ceil(COLUMNS));
-        let count = inputs.div_ceil(numbers);
-        let mut units = vec![0u32; count * panels * COLUMNS];
-        let mut rest = units.as_mut_slice();
-        for first in (0..count).step_by(DEPTH) {
-            let length = DEPTH.min(count - first);
-            let (block, after) = rest.split_at_mut(panels * length * COLUMNS);
-            rest = after;
-            block
-                .par_chunks_mut(length * COLUMNS)
-                .enumerate()
-                .for_each(|(panel, out)| {
-                    let lanes = COLUMNS.min(outputs - panel * COLUMNS);
-                    // Some units at a time, so that both sides are read and written in whole cache lines.
-                    for (part, out) in out.chunks_mut(16 * COLUMNS).enumerate() {
-                        let first = first + 16 * part;
-                        match precision {
-                            Precision::F32 if strides[0] == 1 => {
-                                for (unit, out) in out.chunks_exact_mut(COLUMNS).enumerate() {
-                                    let values = &weight[panel * COLUMNS + (first + unit) * strides[1]..][..lanes];
-                                    (out.iter_mut().zip(values)).for_each(|(out, value)| *out = value.to_bits());
-                                }
-                            }
-                            Precision::F32 => {
-                                for lane in 0..lanes {
-                                    let values = &weight[(panel * COLUMNS + lane) * strides[0] + first * strides[1]..];
-                                    let out = out.iter_mut().skip(lane).step_by(COLUMNS);
-                                    out.zip(values.iter().step_by(strides[1]))
-                                        .for_each(|(out, value)| *out = value.to_bits());
-                                }
-                            }
-                            Precision::Bf16 if strides[0] == 1 => {
-                                for (unit, out) in out.chunks_exact_mut(COLUMNS).enumerate() {
-                                    let row = |input: usize| &weight[panel * COLUMNS + input * strides[1]..][..lanes];
-                                    let input = (first + unit) * numbers;
-                                    let second = if input + 1 < inputs {
-                                        row(input + 1)
-                                    } else {
-                                        &[0.0; COLUMNS]
-                                    };
-                                    bf16::pack_two(row(input), second, out);
-                                }
-                            }
-                            Precision::Bf16 => {
-                                let at = |lane: usize, input: usize| {
-                                    weight[(panel * COLUMNS + lane) * strides[0] + input * strides[1]]
-                                };
-                                for lane in 0..lanes {
-                                    for (unit, out) in out.iter_mut().skip(lane).step_by(COLUMNS).enumerate() {
-                                        let input = (first + unit) * numbers;
-                                        let second = if input + 1 < inputs { at(lane, input + 1) } else { 0.0 };
-                                        *out = bf16::pair(at(lane, input), second);
-                                    }
-                                }
-                            }
-                        }
-                    }
-                });
-        }
+    /// Packs any matrix of weights. `[outputs, inputs]`
+    #[must_use]
+    pub fn of(weight: Matrix<'_>, precision: Precision) -> Self {
+        let [outputs, inputs] = weight.size();
+        let units = inputs.div_ceil(precision.numbers());
+        let mut lines = vec![Line::ZERO; outputs.div_ceil(COLUMNS) * units];
+        lines
+            .par_chunks_mut(units.max(1))
+            .enumerate()
+            .for_each(|(panel, lines)| {
+                let outputs = panel * COLUMNS..outputs.min((panel + 1) * COLUMNS);
+                weight.panel(outputs, precision, lines);
+            });
         Self {
-            units,
+            lines,
             inputs,
             outputs,
             precision,
@@ -149,6 +65,7 @@ impl PackedWeight {
     }
 
     /// Outputs of a row.
+    #[must_use]
     pub fn outputs(&self) -> usize {
         self.outputs
     }
@@ -156,17 +73,21 @@ impl PackedWeight {
     /// The product with rows of inputs on all threads. `finish(row, first column, values)` sees every result once, a part of
     /// a row at a time; mark it `#[inline(always)]`. `[rows, inputs]` to `[rows, outputs]`
     pub fn apply(&self, x: &[f32], finish: impl Fn(usize, usize, &mut [f32]) + Sync) -> Vec<f32> {
-        let (inputs, outputs) = (self.inputs.max(1), self.outputs.max(1));
-        let mut result = vec![0.0f32; x.len() / inputs * self.outputs];
+        self.apply_to(Matrix::new(x, self.inputs), finish)
+    }
+
+    /// [`Self::apply`] to the rows of any matrix.
+    pub fn apply_to(&self, x: Matrix<'_>, finish: impl Fn(usize, usize, &mut [f32]) + Sync) -> Vec<f32> {
+        let mut result = vec![0.0f32; x.size()[0] * self.outputs];
         result
-            .par_chunks_mut(TASK_ROWS * outputs)
-            .zip(x.par_chunks(TASK_ROWS * inputs))
+            .par_chunks_mut(TASK_ROWS * self.outputs.max(1))
             .enumerate()
-            .for_each(|(task, (result, x))| {
-                self.rows(
+            .for_each(|(task, result)| {
+                let rows = task * TASK_ROWS..x.size()[0].min((task + 1) * TASK_ROWS);
+                self.run(
                     x,
-                    result,
-                    outputs,
+                    rows,
+                    (result, self.outputs, false),
                     #[inline(always)]
                     |row, column, values| finish(task * TASK_ROWS + row, column, values),
                 );
@@ -176,155 +97,202 @@ impl PackedWeight {
 
     /// The product with rows of inputs on the calling thread; rows of `result` are `stride` apart.
     pub fn rows(&self, x: &[f32], result: &mut [f32], stride: usize, finish: impl Fn(usize, usize, &mut [f32])) {
-        let (inputs, outputs, numbers) = (self.inputs, self.outputs, self.precision.numbers());
-        let (count, panels) = (inputs.div_ceil(numbers), outputs.div_ceil(COLUMNS));
-        let rows = x.len() / inputs.max(1);
+        let x = Matrix::new(x, self.inputs);
+        self.run(x, 0..x.size()[0], (result, stride, false), finish);
+    }
+
+    /// Adds the product with the rows of any matrix to `result`, on the calling thread. `[rows, outputs]`
+    pub fn add_rows(&self, x: Matrix<'_>, result: &mut [f32]) {
+        self.run(x, 0..x.size()[0], (result, self.outputs, true), |_, _, _| {});
+    }
+
+    /// The product with some rows; `result` with its stride, and whether to add to what is there.
+    fn run(
+        &self,
+        x: Matrix<'_>,
+        rows: Range<usize>,
+        (result, stride, add): (&mut [f32], usize, bool),
+        finish: impl Fn(usize, usize, &mut [f32]),
+    ) {
+        let count = self.inputs.div_ceil(self.precision.numbers());
+        let strips = rows.len().div_ceil(ROWS);
+        let bound = |strip: usize| strip * rows.len() / strips;
         let mut scratch = SCRATCH.take();
-        scratch.resize(rows.next_multiple_of(ROWS) * DEPTH, 0);
+        let packed = resized(&mut scratch, strips * STRIP);
         for first in (0..count).step_by(DEPTH) {
             let length = DEPTH.min(count - first);
-            let is_last = first + length == count;
-            for (x, out) in x.chunks(ROWS * inputs).zip(scratch.chunks_exact_mut(ROWS * DEPTH)) {
-                for (row, x) in x.chunks_exact(inputs).enumerate() {
-                    let x = &x[first * numbers..inputs.min((first + length) * numbers)];
-                    self.pack(x, row, out);
-                }
+            let (is_last, add) = (first + length == count, add || first > 0);
+            for (strip, out) in packed.chunks_exact_mut(STRIP).enumerate() {
+                let own = rows.start + bound(strip)..rows.start + bound(strip + 1);
+                x.strip(own, first, self.precision, &mut out[..length.div_ceil(COLUMNS) * ROWS]);
             }
-            let block = &self.units[first * panels * COLUMNS..][..panels * length * COLUMNS];
-            for (panel, weights) in block.chunks_exact(length * COLUMNS).enumerate() {
+            for (panel, weights) in self.lines.chunks_exact(count).enumerate() {
+                let weights = &weights[first..first + length];
                 let column = panel * COLUMNS;
-                let width = COLUMNS.min(outputs - column);
-                for (strip, values) in scratch.chunks_exact(ROWS * DEPTH).enumerate() {
-                    let mut sums = [[0.0; COLUMNS]; ROWS];
-                    if first > 0 {
-                        for (sums, out) in sums.iter_mut().zip(result[strip * ROWS * stride..].chunks(stride)) {
-                            copy(&out[column..column + width], sums);
+                let width = COLUMNS.min(self.outputs - column);
+                for (strip, values) in packed.chunks_exact(STRIP).enumerate() {
+                    let own = bound(strip)..bound(strip + 1);
+                    let mut sums = [Line::ZERO; ROWS];
+                    let sums = &mut sums[..own.len()];
+                    let first = own.start * stride;
+                    if add {
+                        for (sums, out) in sums.iter_mut().zip(result[first..].chunks(stride)) {
+                            copy(&out[column..column + width], &mut sums.0);
                         }
                     }
-                    self.tile(values, weights, &mut sums);
+                    match self.precision {
+                        Precision::F32 => product(values, ROWS, weights, sums, add),
+                        Precision::Bf16 => bf16::product(values, ROWS, weights, sums),
+                    }
                     if is_last {
-                        let count = ROWS.min(rows - strip * ROWS);
                         vectorised(
                             #[inline(always)]
                             || {
-                                for (row, sums) in sums[..count].iter_mut().enumerate() {
-                                    finish(strip * ROWS + row, column, &mut sums[..width]);
+                                for (row, sums) in own.clone().zip(sums.iter_mut()) {
+                                    finish(row, column, &mut sums.0[..width]);
                                 }
                             },
                         );
                     }
-                    for (out, sums) in result[strip * ROWS * stride..].chunks_mut(stride).zip(&sums) {
-                        copy(sums, &mut out[column..column + width]);
+                    for (out, sums) in result[first..].chunks_mut(stride).zip(&*sums) {
+                        copy(&sums.0, &mut out[column..column + width]);
                     }
                 }
             }
         }
         SCRATCH.set(scratch);
     }
-
-    /// Packs a part of one row of a strip: `[DEPTH][ROWS]` of f32, `[ROWS][DEPTH]` of pairs.
-    fn pack(&self, x: &[f32], row: usize, out: &mut [u32]) {
-        match self.precision {
-            Precision::F32 => {
-                for (x, out) in x.iter().zip(out.chunks_exact_mut(ROWS)) {
-                    out[row] = x.to_bits();
-                }
-            }
-            Precision::Bf16 => bf16::pack(x, &mut out[row * DEPTH..(row + 1) * DEPTH]),
-        }
-    }
-
-    /// Adds the products of one tile: `values` as packed, `weights [units][COLUMNS]`.
-    fn tile(&self, values: &[u32], weights: &[u32], sums: &mut Tile) {
-        match self.precision {
-            Precision::F32 => Arch::new().dispatch(Single {
-                values: bytemuck::cast_slice(values),
-                weights: bytemuck::cast_slice(weights),
-                sums,
-            }),
-            Precision::Bf16 => bf16::tile(values, weights, sums),
-        }
-    }
 }
 
-/// Copies as many numbers as both have: mostly a whole row of a tile, whose size the compiler then knows.
-fn copy(from: &[f32], to: &mut [f32]) {
-    if let (Ok(from), Ok(to)) = (
-        <&[f32; COLUMNS]>::try_from(from),
-        <&mut [f32; COLUMNS]>::try_from(&mut *to),
-    ) {
-        *to = *from;
-        return;
-    }
-    let count = from.len().min(to.len());
-    to[..count].copy_from_slice(&from[..count]);
+/// Sums `values * weights` for any number of rows and one panel of weights, `weights` a line for each unit. Chunk `c` of row
+/// `r` is line `c * stride + r` of `values`; the sums are added to what is in `out` if `add`.
+///
+/// A sum takes its terms in ascending order, so how rows are grouped does not matter.
+pub(crate) fn product(values: &[Line], stride: usize, weights: &[Line], out: &mut [Line], add: bool) {
+    Arch::new().dispatch(Product {
+        values,
+        stride,
+        weights,
+        out,
+        add,
+    });
 }
 
-/// A tile of f32 units.
-struct Single<'a> {
-    values: &'a [f32],
-    weights: &'a [f32],
-    sums: &'a mut Tile,
+struct Product<'a> {
+    values: &'a [Line],
+    stride: usize,
+    weights: &'a [Line],
+    out: &'a mut [Line],
+    add: bool,
 }
 
-impl WithSimd for Single<'_> {
+impl WithSimd for Product<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         // As many sums at a time as registers hold.
         match S::F32_LANES {
-            16 => strips::<S, ROWS, 2>(simd, self),
-            8 => strips::<S, 3, 4>(simd, self),
-            4 => strips::<S, 3, 8>(simd, self),
-            _ => strips::<S, 1, COLUMNS>(simd, self),
+            16 => self.groups::<S, ROWS, 2>(simd),
+            8 => self.groups::<S, 3, 4>(simd),
+            4 => self.groups::<S, 3, 8>(simd),
+            _ => self.groups::<S, 1, COLUMNS>(simd),
         }
     }
 }
 
-/// A tile, `R` rows of `V` vectors at a time.
+/// Runs code for a number of rows from 1 to [`ROWS`], a constant in it.
+macro_rules! with_rows {
+    ($count:expr, |$rows:ident| $body:block) => {
+        with_rows!(@ $count, $rows $body 1 2 3 4 5 6 7 8 9 10 11 12)
+    };
+    (@ $count:expr, $rows:ident $body:block $($index:literal)*) => {
+        match $count {
+            $($index => {
+                const $rows: usize = $index;
+                $body
+            })*
+            _ => {}
+        }
+    };
+}
+
+impl Product<'_> {
+    /// Groups of at most `MOST` rows, as alike as can be, `V` vectors of columns each.
+    #[inline(always)]
+    fn groups<S: Simd, const MOST: usize, const V: usize>(self, simd: S) {
+        let Self {
+            values,
+            stride,
+            weights,
+            out,
+            add,
+        } = self;
+        let count = out.len();
+        let groups = count.div_ceil(MOST);
+        let mut first = 0;
+        for group in 0..groups {
+            let next = (group + 1) * count / groups;
+            let (values, out) = (&values[first..], &mut out[first..next]);
+            with_rows!(out.len(), |R| {
+                if R <= MOST {
+                    rows::<S, R, V>(simd, values, stride, weights, out, add);
+                }
+            });
+            first = next;
+        }
+    }
+}
+
+/// The sums of `R` rows.
 #[inline(always)]
-fn strips<S: Simd, const R: usize, const V: usize>(simd: S, Single { values, weights, sums }: Single<'_>) {
-    for (strip, sums) in sums.chunks_exact_mut(R).enumerate() {
-        let mut total = [[simd.splat_f32s(0.0); V]; R];
+fn rows<S: Simd, const R: usize, const V: usize>(
+    simd: S,
+    values: &[Line],
+    stride: usize,
+    weights: &[Line],
+    out: &mut [Line],
+    add: bool,
+) {
+    let Some(out) = out.first_chunk_mut::<R>() else { return };
+    let mut total = [[simd.splat_f32s(0.0); V]; R];
+    if add {
         for_rows!(|ROW| {
             if ROW < R {
                 for vector in 0..V {
-                    total[ROW][vector] = S::as_simd_f32s(&sums[ROW]).0[vector];
+                    total[ROW][vector] = S::as_simd_f32s(&out[ROW].0).0[vector];
                 }
             }
         });
-        let (values, _) = values.as_chunks::<ROWS>();
-        for (values, weights) in values.iter().zip(weights.as_chunks::<COLUMNS>().0) {
-            let (weights, _) = S::as_simd_f32s(weights);
+    }
+    for (values, weights) in values.chunks(stride).zip(weights.chunks(COLUMNS)) {
+        let Some(values) = values.first_chunk::<R>() else {
+            return;
+        };
+        for (unit, weights) in (0..COLUMNS).zip(weights) {
+            let (weights, _) = S::as_simd_f32s(&weights.0);
             for_rows!(|ROW| {
                 if ROW < R {
-                    let value = simd.splat_f32s(values[strip * R + ROW]);
+                    let value = simd.splat_f32s(values[ROW].0[unit]);
                     for vector in 0..V {
                         total[ROW][vector] = simd.mul_add_f32s(value, weights[vector], total[ROW][vector]);
                     }
                 }
             });
         }
-        for_rows!(|ROW| {
-            if ROW < R {
-                for vector in 0..V {
-                    S::as_mut_simd_f32s(&mut sums[ROW]).0[vector] = total[ROW][vector];
-                }
+    }
+    for_rows!(|ROW| {
+        if ROW < R {
+            for vector in 0..V {
+                S::as_mut_simd_f32s(&mut out[ROW].0).0[vector] = total[ROW][vector];
             }
-        });
-    }
+        }
+    });
 }
-
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use super::*;
-
-    pub(in super::super) fn noise(count: usize, seed: usize) -> Vec<f32> {
-        (0..count)
-            .map(|k| (((k * 7919 + seed * 104_729) % 10_009) as f32 / 5004.5) - 1.0)
-            .collect()
-    }
+    use crate::noise::noise;
 
     #[test]
     fn equals_the_sum_of_products_at_odd_sizes() {
@@ -361,18 +329,33 @@ pub(crate) mod tests {
     fn strided_operands_and_results() {
         let (rows, inputs, outputs, stride) = (30, 300, 20, 50);
         let (x, weight) = (noise(rows * inputs, 1), noise(outputs * inputs, 2));
-        let transposed: Vec<f32> = (0..inputs * outputs)
-            .map(|k| weight[(k % outputs) * inputs + k / outputs])
-            .collect();
+        let turned = |values: &[f32], rows: usize| -> Vec<f32> {
+            let columns = values.len() / rows;
+            (0..values.len())
+                .map(|k| values[k % rows * columns + k / rows])
+                .collect()
+        };
+        let (turned_x, turned_weight) = (turned(&x, rows), turned(&weight, outputs));
         for precision in [Precision::F32, Precision::Bf16] {
             let expected = PackedWeight::new(&weight, inputs, precision).apply(&x, |_, _, _| {});
-            let packed = PackedWeight::strided(&transposed, [outputs, inputs], [1, outputs], precision);
+            let packed = PackedWeight::of(Matrix::new(&turned_weight, outputs).transposed(), precision);
             let mut found = vec![7.0; (rows - 1) * stride + outputs];
             packed.rows(&x, &mut found, stride, |_, _, _| {});
             for (row, expected) in expected.chunks_exact(outputs).enumerate() {
                 assert_eq!(&found[row * stride..][..outputs], expected);
             }
             assert_eq!(found[outputs], 7.0, "what lies between rows is left alone");
+            let x = Matrix::new(&turned_x, rows).transposed();
+            assert_eq!(packed.apply_to(x, |_, _, _| {}), expected);
+            // Every second column of a matrix twice as wide.
+            let spread: Vec<f32> = turned_x.iter().flat_map(|&value| [value, f32::NAN]).collect();
+            let x = Matrix::strided(&spread, [rows, inputs], [2, 2 * rows]);
+            assert_eq!(packed.apply_to(x, |_, _, _| {}), expected);
+            let mut sums = vec![1.0; rows * outputs];
+            packed.add_rows(x, &mut sums);
+            for (sum, expected) in sums.iter().zip(&expected) {
+                assert!((sum - expected - 1.0).abs() < 1e-4);
+            }
         }
     }
 }

@@ -9,21 +9,14 @@
 //! uses `LpipsTensors` (feature `tensors`), which records gradients and runs on any device.
 
 mod error;
-mod filtering;
-mod first;
-mod maps;
-mod product;
 mod readings;
 #[cfg(feature = "tensors")]
 mod tensors;
-mod tiling;
 mod trunk;
 mod weights;
 
 use std::path::Path;
 
-use filtering::panels;
-use maps::Pixel;
 use readings::LENGTH_FLOOR;
 use trunk::Trunk;
 
@@ -49,7 +42,7 @@ const MIN_SIDE: usize = 16;
 pub struct Lpips {
     trunk: Trunk,
     /// Per layer the weights of its channels.
-    heads: Vec<Vec<Pixel>>,
+    heads: Vec<Vec<f32>>,
     /// For people: where the weights come from.
     description: String,
 }
@@ -59,15 +52,15 @@ pub struct Lpips {
 pub struct LpipsFeatures {
     height: usize,
     width: usize,
-    /// Per layer `[rows][panels of channels][columns]`.
-    layers: Vec<Vec<Pixel>>,
+    /// Per layer `[height, width, channels]`.
+    layers: Vec<Vec<f32>>,
 }
 
 impl LpipsFeatures {
     /// Memory the values take, bytes.
     #[must_use]
     pub fn bytes(&self) -> usize {
-        self.layers.iter().map(|layer| layer.len() * size_of::<Pixel>()).sum()
+        self.layers.iter().map(|layer| layer.len() * size_of::<f32>()).sum()
     }
 }
 
@@ -85,7 +78,7 @@ impl Lpips {
     pub fn new(weights: LpipsWeights) -> Self {
         Self {
             trunk: Trunk::new(&weights.convolutions),
-            heads: weights.heads.iter().map(|head| panels(head)).collect(),
+            heads: weights.heads,
             description: weights.description,
         }
     }
@@ -114,8 +107,8 @@ impl Lpips {
 
     fn read_all(&self, image: &[f32], height: usize, width: usize) -> LpipsFeatures {
         let mut layers = Vec::with_capacity(LAYERS);
-        self.trunk.run(image, height, width, |_, maps| {
-            layers.push(readings::normalised(maps, &self.trunk.scratch));
+        self.trunk.run(image, [height, width], |_, maps| {
+            layers.push(readings::normalised(maps))
         });
         LpipsFeatures { height, width, layers }
     }
@@ -129,8 +122,8 @@ impl Lpips {
         let image = normalised(rgb, height, width, of_unit)?;
         same_size((height, width), (kept.height, kept.width))?;
         let mut sum = 0.0;
-        self.trunk.run(&image, height, width, |layer, maps| {
-            sum += readings::distance_of(maps, &kept.layers[layer], &self.heads[layer], &self.trunk.scratch);
+        self.trunk.run(&image, [height, width], |layer, maps| {
+            sum += readings::distance_of(maps, &kept.layers[layer], &self.heads[layer]);
         });
         Ok(sum)
     }

@@ -71,6 +71,9 @@ impl LpipsWeights {
         let first = |names: &[String]| -> Result<(String, Vec<usize>, Vec<f32>)> {
             for name in names {
                 if let Some((shape, values)) = lookup(name)? {
+                    if values.len() != shape.iter().product::<usize>() {
+                        expect_shape(name, &[values.len()], &shape)?;
+                    }
                     return Ok((name.clone(), shape, values));
                 }
             }

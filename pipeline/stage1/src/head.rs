@@ -1,7 +1,5 @@
 //! The dense heads: four tapped token maps to one map at image size (`docs/spec/stage1.md` section 6).
 
-use std::sync::{Arc, OnceLock};
-
 use burn::tensor::Tensor;
 
 use super::config::{HeadKind, Stage1Config};
@@ -10,9 +8,7 @@ use super::geometry::encode_time;
 use super::positions::head_positions;
 use super::pyramid::Pyramid;
 use crate::Result;
-use rogs_kernels::{After, Conv3x3, DenseTail, Precision};
-use rogs_tensors::host;
-use rogs_tensors::ops::{self, Conv, Linear};
+use rogs_tensors::ops::{self, Conv, DenseTail, Linear};
 use rogs_tensors::parameters::{Scope, from_host};
 
 /// Weight of the position maps inside a head.
@@ -116,87 +112,6 @@ impl StemJoin {
     }
 }
 
-/// Two convolutions with a ReLU between: the last step of a head, and its shortcut.
-#[derive(Debug, Clone)]
-struct Tail {
-    first: Conv,
-    second: Conv,
-    /// The weights as the CPU kernel takes them for one image size, made when first needed.
-    packed: Arc<OnceLock<([usize; 2], DenseTail)>>,
-}
-
-impl Tail {
-    fn load(scope: &Scope<'_>, [inputs, hidden, outputs]: [usize; 3]) -> Result<Self> {
-        let first = Conv::load(&scope.child("0"), [hidden, inputs], 3, 1)?;
-        Ok(Self {
-            first,
-            second: Conv::load(&scope.child("2"), [outputs, hidden], 1, 1)?,
-            packed: Arc::default(),
-        })
-    }
-
-    fn forward(&self, input: Tensor<4>) -> Tensor<4> {
-        self.second.forward(ops::relu(self.first.forward(input)))
-    }
-
-    /// Resizes the input, adds position maps, and applies the convolutions, in one pass where there is a kernel.
-    fn forward_resized(
-        &self,
-        input: Tensor<4>,
-        size: [usize; 2],
-        positions: impl Fn() -> Option<Tensor<4>>,
-    ) -> Option<Tensor<4>> {
-        let (weight, head) = (&self.first.weight, &self.second.weight);
-        if !host::usable(&input) || !host::usable(weight) || !host::usable(head) {
-            return None;
-        }
-        let [images, inputs, rows, columns] = input.dims();
-        let (outputs, hidden) = (head.dims()[0], head.dims()[1]);
-        self.packed.get_or_init(|| {
-            let bias = self.first.bias.as_ref().map(ops::values).unwrap_or_default();
-            let first = Conv3x3::new(&ops::values(weight), &[], hidden, inputs, Precision::F32);
-            let mut map = match positions() {
-                Some(positions) => first.run(&ops::values(&positions), size, false, After::Nothing, None),
-                None => vec![0.0; hidden * size[0] * size[1]],
-            };
-            for (plane, bias) in map.chunks_exact_mut(size[0] * size[1]).zip(bias) {
-                plane.iter_mut().for_each(|value| *value += bias);
-            }
-            let bias = self
-                .second
-                .bias
-                .as_ref()
-                .map_or_else(|| vec![0.0; outputs], ops::values);
-            (
-                size,
-                DenseTail {
-                    first,
-                    map,
-                    second: ops::values(head),
-                    bias,
-                    inputs,
-                },
-            )
-        });
-        let packed = self.packed.clone();
-        if packed.get().is_none_or(|(prepared, _)| *prepared != size) {
-            return None;
-        }
-        let unused = head.clone();
-        Some(host::read(
-            input,
-            unused,
-            [images, outputs, size[0], size[1]],
-            move |input, _| {
-                packed
-                    .get()
-                    .map(|(_, tail)| tail.run(input, [rows, columns], size))
-                    .unwrap_or_default()
-            },
-        ))
-    }
-}
-
 /// The weights of one dense head.
 #[derive(Debug, Clone)]
 pub struct DenseHead {
@@ -213,8 +128,9 @@ pub struct DenseHead {
     fuse: [Fusion; 4],
     stem: Option<StemJoin>,
     narrow: Conv,
-    tail: Tail,
-    shortcut: Option<Tail>,
+    tail: DenseTail,
+    /// The shortcut has the form of the last step.
+    shortcut: Option<DenseTail>,
 }
 
 /// The four 1x1 projections of a head with the tap norm and the modulation of one query time folded in.
@@ -262,7 +178,7 @@ impl DenseHead {
             )
         };
         let time_numbers = config.time_numbers();
-        let shortcut = |inputs| Tail::load(&scope.child("shortcut"), [inputs, hidden, kind.channels()]);
+        let shortcut = |inputs| DenseTail::load(&scope.child("shortcut"), [inputs, hidden, kind.channels()]);
         Ok(Self {
             kind,
             features,
@@ -285,7 +201,7 @@ impl DenseHead {
                 None
             },
             narrow: Conv::load(&scratch.child("output_conv1"), [features / 2, features], 3, 1)?,
-            tail: Tail::load(&scratch.child("output_conv2"), [features / 2, hidden, kind.channels()])?,
+            tail: DenseTail::load(&scratch.child("output_conv2"), [features / 2, hidden, kind.channels()])?,
             shortcut: kind.shortcut_channels().map(shortcut).transpose()?,
         })
     }
@@ -374,10 +290,8 @@ impl DenseHead {
         let narrowed = self.narrow.forward(fused);
         show(watch, || "output_conv1".into(), &narrowed);
         let positions = || self.positions(self.features / 2, size, size);
-        if watch.is_none()
-            && let Some(output) = self.tail.forward_resized(narrowed.clone(), size, || Some(positions()))
-        {
-            return output;
+        if watch.is_none() {
+            return self.tail.forward_resized(narrowed, size, Some(&positions));
         }
         let enlarged = ops::resize(narrowed, size) + positions();
         show(watch, || "fused_upsampled_posembed".into(), &enlarged);
@@ -389,13 +303,8 @@ impl DenseHead {
     /// The shortcut on its full-resolution input; `None` for a head without one. `[S, c, H, W] -> [S, channels, H, W]`
     #[must_use]
     pub fn shortcut(&self, input: Tensor<4>) -> Option<Tensor<4>> {
-        let shortcut = self.shortcut.as_ref()?;
         let size = [input.dims()[2], input.dims()[3]];
-        Some(
-            shortcut
-                .forward_resized(input.clone(), size, || None)
-                .unwrap_or_else(|| shortcut.forward(input)),
-        )
+        Some(self.shortcut.as_ref()?.forward_resized(input, size, None))
     }
 
     /// Which head this is.

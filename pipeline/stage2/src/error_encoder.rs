@@ -6,7 +6,7 @@ use super::RefinerConfig;
 use super::mv_attention::{FACTOR, MultiViewAttention};
 use super::resnet::{FeatureMaps, ResNetFront, checked};
 use crate::{Error, Result};
-use rogs_kernels::rows::{LayerNorm, Linear, Plane, ROWS_PER_PIECE};
+use rogs_kernels::{LayerNorm, Linear, Plane, ROWS_PER_PIECE};
 use rogs_tensors::parameters::Parameters;
 
 /// Colour error `render - observed` in the layout of its projection.
@@ -68,7 +68,7 @@ impl ErrorEncoder {
             layout,
             features,
             front: ResNetFront::load(parameters, "encoder.update_feature", widths)?,
-            colour: Linear::new(weight, Some(bias), inputs, features)?,
+            colour: Linear::new(&weight, Some(bias), inputs, features),
             colour_norm: LayerNorm {
                 weight: get("1.weight", &[features])?,
                 bias: get("1.bias", &[features])?,

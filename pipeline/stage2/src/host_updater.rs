@@ -6,7 +6,8 @@ use rayon::prelude::*;
 use super::RefinerConfig;
 use super::resnet::checked;
 use crate::{Error, Result};
-use rogs_kernels::rows::{LayerNorm, Linear, ROWS_PER_PIECE, add_assign, neighbour_attention};
+use rogs_kernels::pointwise::add_assign;
+use rogs_kernels::{LayerNorm, Linear, ROWS_PER_PIECE, neighbour_attention};
 use rogs_tensors::parameters::Parameters;
 
 /// One neighbour-attention block.
@@ -44,11 +45,11 @@ impl HostUpdater {
         let linear = |name: &str, outputs: usize, inputs: usize| -> Result<Linear> {
             let bias = get(&format!("{name}.bias"), &[outputs])?;
             Ok(Linear::new(
-                get(&format!("{name}.weight"), &[outputs, inputs])?,
+                &get(&format!("{name}.weight"), &[outputs, inputs])?,
                 Some(bias),
                 inputs,
                 outputs,
-            )?)
+            ))
         };
         let norm = |name: &str| -> Result<LayerNorm> {
             Ok(LayerNorm {
@@ -62,7 +63,7 @@ impl HostUpdater {
             let qkv = get(&format!("{name}.attn.qkv.weight"), &[packed, s])?;
             Ok(Block {
                 norm1: norm(&format!("{name}.norm1"))?,
-                qkv: Linear::new(qkv, None, s, packed)?,
+                qkv: Linear::new(&qkv, None, s, packed),
                 projection: linear(&format!("{name}.attn.proj"), s, config.attention)?,
                 norm2: norm(&format!("{name}.norm2"))?,
                 expand: linear(&format!("{name}.mlp.fc1"), 4 * s, s)?,

@@ -4,8 +4,8 @@ use rayon::prelude::*;
 
 use super::resnet::checked;
 use crate::{Error, Result};
-use rogs_kernels::Winograd;
-use rogs_kernels::rows::{LayerNorm, Linear, Plane, ROWS_PER_PIECE, add_assign, self_attention};
+use rogs_kernels::pointwise::add_assign;
+use rogs_kernels::{LayerNorm, Linear, PackedAttention, Plane, Precision, ROWS_PER_PIECE, TileSize, Winograd};
 use rogs_tensors::parameters::Parameters;
 
 /// Side of the pixel blocks that become one token.
@@ -59,15 +59,15 @@ impl MultiViewAttention {
         let linear = |name: &str, outputs: usize, inputs: usize| -> Result<Linear> {
             let bias = Some(get(&format!("{name}.bias"), &[outputs])?);
             Ok(Linear::new(
-                get(&format!("{name}.weight"), &[outputs, inputs])?,
+                &get(&format!("{name}.weight"), &[outputs, inputs])?,
                 bias,
                 inputs,
                 outputs,
-            )?)
+            ))
         };
         let folded = CELLS * channels;
         let fold_weight = get("proj1.weight", &[channels, folded])?;
-        let fold_weight = fold_weight
+        let fold_weight: Vec<f32> = fold_weight
             .chunks_exact(folded)
             .flat_map(|row| cells_first(row, channels))
             .collect();
@@ -79,30 +79,31 @@ impl MultiViewAttention {
         Ok(Self {
             channels,
             heads: heads(channels)?,
-            fold: Linear::new(fold_weight, Some(get("proj1.bias", &[channels])?), folded, channels)?,
+            fold: Linear::new(&fold_weight, Some(get("proj1.bias", &[channels])?), folded, channels),
             fold_norm: norm("norm1", channels)?,
             norm1: norm("attn.norm1", channels)?,
             qkv: Linear::new(
-                get("attn.attn.qkv.weight", &[3 * channels, channels])?,
+                &get("attn.attn.qkv.weight", &[3 * channels, channels])?,
                 None,
                 channels,
                 3 * channels,
-            )?,
+            ),
             projection: linear("attn.attn.proj", channels, channels)?,
             norm2: norm("attn.norm2", channels)?,
             expand: linear("attn.mlp.fc1", 4 * channels, channels)?,
             contract: linear("attn.mlp.fc2", channels, 4 * channels)?,
-            unfold: Linear::new(unfold_weight, Some(unfold_bias), channels, folded)?,
+            unfold: Linear::new(&unfold_weight, Some(unfold_bias), channels, folded),
             unfold_norm: LayerNorm {
                 weight: cells_first(&unfold_norm.weight, channels),
                 bias: cells_first(&unfold_norm.bias, channels),
             },
             smooth: Winograd::new(
                 &get("conv.weight", &[channels, channels, 3, 3])?,
-                get("conv.bias", &[channels])?,
+                &get("conv.bias", &[channels])?,
                 channels,
                 channels,
-            )?,
+                TileSize::Two,
+            ),
         })
     }
 
@@ -189,7 +190,17 @@ impl MultiViewAttention {
     fn transform(&self, mut tokens: Vec<f32>) -> Vec<f32> {
         let c = self.channels;
         let qkv = self.qkv.forward(&self.norm1.forward(&tokens));
-        let mixed = self_attention(&qkv, c, self.heads);
+        let mixed = PackedAttention {
+            packed: &qkv,
+            bias: &vec![0.0; 3 * c],
+            tokens: tokens.len() / c,
+            heads: self.heads,
+            size: c / self.heads,
+            norms: None,
+            rotary: None,
+            precision: Precision::F32,
+        }
+        .run();
         add_assign(&mut tokens, &self.projection.forward(&mixed));
         tokens.par_chunks_mut(ROWS_PER_PIECE * c).for_each(|piece| {
             let mut normalised = piece.to_vec();

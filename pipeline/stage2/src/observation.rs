@@ -7,7 +7,8 @@ use super::resnet::checked;
 use super::updater::{NeighbourBlock, Neighbours};
 use super::{ErrorEncoder, FeatureMaps, nearest_neighbours};
 use crate::{Error, Result};
-use rogs_kernels::rows::{Conv, Linear, Plane, gelu_in_place};
+use rogs_kernels::pointwise::gelu_in_place;
+use rogs_kernels::{Conv, Linear, Plane};
 use rogs_tensors::parameters::{Parameters, from_host, to_host};
 
 /// A frozen network from source images to features per source pixel. Encoders see the images of one source time.
@@ -124,7 +125,7 @@ impl ObservationTrunkTail {
                 width,
                 3,
                 1,
-            )?)
+            ))
         };
         let joined = width + config.repeated;
         let projection = get("proj.weight", &[width, joined])?;
@@ -142,9 +143,9 @@ impl ObservationTrunkTail {
         };
         Ok(Self {
             regressor: [conv(0, inputs)?, conv(2, width)?],
-            projection: Linear::new(projection, Some(get("proj.bias", &[width])?), joined, width)?,
+            projection: Linear::new(&projection, Some(get("proj.bias", &[width])?), joined, width),
             blocks: (0..config.blocks).map(block).collect::<Result<_>>()?,
-            state: Linear::new(update, Some(get("update_proj.bias", &[state])?), width, state)?,
+            state: Linear::new(&update, Some(get("update_proj.bias", &[state])?), width, state),
             width,
             neighbours: config.neighbours,
         })

@@ -1,7 +1,8 @@
 //! The frozen front of a ResNet-18: three feature maps of an image (`docs/spec/stage2.md` section A.3).
 
 use crate::{Error, Result};
-use rogs_kernels::rows::{Conv, Plane, add_assign, add_resized, max_pool_3x3_stride_2, relu_in_place};
+use rogs_kernels::pointwise::{add_assign, relu_in_place};
+use rogs_kernels::{Conv, MaxPool, Plane, add_resized};
 use rogs_tensors::parameters::Parameters;
 
 /// Mean and standard deviation that images are normalised by.
@@ -81,7 +82,7 @@ impl ResNetFront {
                     &format!("{name}.{part}.weight"),
                     &[outputs, inputs, size, size],
                 )?;
-                Ok(Conv::new(&weight, None, inputs, outputs, size, stride)?.followed_by(&scale, &shift))
+                Ok(Conv::new(&weight, None, inputs, outputs, size, stride).followed_by(&scale, &shift))
             };
             let shortcut = if stride > 1 {
                 Some(conv("downsample.0", "downsample.1", inputs, 1, stride)?)
@@ -97,7 +98,7 @@ impl ResNetFront {
         let weight = checked(parameters, &format!("{prefix}.conv1.weight"), &[stem, 3, 7, 7])?;
         let (stem_scale, stem_shift) = normalisation(parameters, &format!("{prefix}.bn1"), stem)?;
         Ok(Self {
-            stem: Conv::new(&weight, None, 3, stem, 7, 2)?,
+            stem: Conv::new(&weight, None, 3, stem, 7, 2),
             stem_scale,
             stem_shift,
             layers: [
@@ -131,7 +132,7 @@ impl ResNetFront {
                 *value = (*value * scale + shift).max(0.0);
             }
         }
-        let pooled = max_pool_3x3_stride_2(&activated);
+        let pooled = MaxPool::OVERLAPPING.forward(&activated);
         let run = |blocks: &[BasicBlock; 2], map: &Plane| blocks[1].forward(&blocks[0].forward(map));
         let quarter = run(&self.layers[0], &pooled);
         let eighth = run(&self.layers[1], &quarter);

@@ -20,9 +20,3 @@ pub enum Error {
     #[error("{0}")]
     BadInput(String),
 }
-
-impl From<rogs_kernels::ShapeError> for Error {
-    fn from(error: rogs_kernels::ShapeError) -> Self {
-        Self::BadConfiguration(error.0)
-    }
-}

@@ -1,5 +1,6 @@
 //! Bringing images to the clip's size (`docs/spec/stage1.md` section 2): scale, cut at the centre, intrinsics follow.
 
+use rogs_kernels::cubic_taps;
 use rogs_schemas::Intrinsics;
 
 use crate::params::Fit;
@@ -72,8 +73,8 @@ impl Mapping {
         if self.scaled == self.source && self.target == self.source {
             return image.to_vec();
         }
-        let columns = taps(self.source.0, self.scaled.0, self.offset.0, self.target.0);
-        let rows = taps(self.source.1, self.scaled.1, self.offset.1, self.target.1);
+        let columns = cubic_taps::<f64>(self.source.0, self.scaled.0, self.offset.0, self.target.0);
+        let rows = cubic_taps::<f64>(self.source.1, self.scaled.1, self.offset.1, self.target.1);
         let (width, target_width) = (self.source.0, self.target.0);
         // Horizontal pass over the rows that are needed, then vertical.
         let first = rows.iter().map(|taps| taps.start).min().unwrap_or(0);
@@ -124,45 +125,6 @@ impl Mapping {
             .map(row)
             .flat_map(|start| columns.iter().map(move |column| map[start + column]))
             .collect()
-    }
-}
-
-/// The samples that make one output sample.
-struct Taps {
-    start: usize,
-    weights: Vec<f32>,
-}
-
-/// Antialiased bicubic weights of the outputs `offset..offset + count` of an axis scaled from `from` to `to` samples.
-fn taps(from: usize, to: usize, offset: usize, count: usize) -> Vec<Taps> {
-    let scale = from as f64 / to as f64;
-    let filter = scale.max(1.0);
-    let one = |index: usize| {
-        let centre = scale * ((index + offset) as f64 + 0.5);
-        let start = (centre - 2.0 * filter + 0.5).max(0.0) as usize;
-        let end = ((centre + 2.0 * filter + 0.5) as usize).min(from);
-        let raw: Vec<f64> = (start..end)
-            .map(|tap| cubic((tap as f64 - centre + 0.5) / filter))
-            .collect();
-        let sum: f64 = raw.iter().sum();
-        Taps {
-            start,
-            weights: raw.iter().map(|weight| (weight / sum) as f32).collect(),
-        }
-    };
-    (0..count).map(one).collect()
-}
-
-/// The cubic convolution kernel with a = -0.5.
-fn cubic(t: f64) -> f64 {
-    const A: f64 = -0.5;
-    let t = t.abs();
-    if t < 1.0 {
-        ((A + 2.0) * t - (A + 3.0)) * t * t + 1.0
-    } else if t < 2.0 {
-        ((A * t - 5.0 * A) * t + 8.0 * A) * t - 4.0 * A
-    } else {
-        0.0
     }
 }
 

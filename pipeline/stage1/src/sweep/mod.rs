@@ -9,7 +9,6 @@
 
 mod plan;
 mod rays;
-mod similarity;
 
 use std::sync::Arc;
 
@@ -24,7 +23,6 @@ use crate::Result;
 use rogs_kernels::sweep::GROUPS as SWEEP_GROUPS;
 use rogs_tensors::ops::{self, Conv};
 use rogs_tensors::parameters::{Scope, from_host};
-use similarity::similarity;
 
 pub use plan::place;
 
@@ -121,7 +119,7 @@ impl<'a> Sweeping<'a> {
         let [count, depths, rows, columns] = shape;
         let constant = |values: Vec<f32>, shape: [usize; 4]| from_host::<4>(values, shape, &device);
 
-        let similarity = similarity(self.compared(&seen)?, plan.clone())?;
+        let similarity = ops::similarity(self.compared(&seen)?, plan.clone())?;
         let cosine = similarity
             .clone()
             .reshape([count, SWEEP_GROUPS, depths, rows * columns])

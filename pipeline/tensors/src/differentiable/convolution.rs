@@ -1,11 +1,12 @@
 //! The 3x3 convolution: forward by the direct kernel, gradients by the same kernel
 //! with the weights turned round (input) and by [`weight_gradient`] (weights).
 
+use std::sync::Arc;
+
 use burn::tensor::Tensor;
 
-use super::{INPUTS, InputGradients, Operation, of_three};
-use rogs_kernels::{After, Conv3x3, Precision};
-use rogs_kernels::{Maps, weight_gradient};
+use super::node::{HostOperation, node};
+use rogs_kernels::{After, Conv3x3, Maps, Precision, weight_gradient};
 
 /// Taps of a kernel.
 const TAPS: usize = 9;
@@ -20,21 +21,17 @@ pub fn convolve(input: Tensor<4>, weight: Tensor<4>, bias: Tensor<1>, products: 
         width,
         products,
     };
-    of_three(input, weight, bias, [images, outputs, height, width], maps)
+    let inputs = [input.into_dispatch(), weight.into_dispatch(), bias.into_dispatch()];
+    node(inputs, [images, outputs, height, width], Arc::new(maps))
 }
 
-impl Operation for Maps {
-    fn forward(&self, [input, weight, bias]: [&[f32]; INPUTS]) -> Vec<f32> {
+impl HostOperation<3> for Maps {
+    fn forward(&self, [input, weight, bias]: [&[f32]; 3]) -> Vec<f32> {
         let conv = Conv3x3::new(weight, bias, self.outputs, self.inputs, self.products);
         conv.run(input, [self.height, self.width], false, After::Nothing, None)
     }
 
-    fn backward(
-        &self,
-        gradient: &[f32],
-        [input, weight, _]: [&[f32]; INPUTS],
-        wanted: [bool; INPUTS],
-    ) -> InputGradients {
+    fn backward(&self, gradient: &[f32], [input, weight, _]: [&[f32]; 3], wanted: [bool; 3]) -> [Option<Vec<f32>>; 3] {
         let of_input = wanted[0].then(|| {
             let conv = Conv3x3::new(
                 &turned(weight, self.inputs, self.outputs),

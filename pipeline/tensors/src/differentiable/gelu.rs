@@ -1,9 +1,11 @@
 //! GELU in its exact (erf) form.
 
+use std::sync::Arc;
+
 use burn::tensor::Tensor;
 use rayon::prelude::*;
 
-use super::{INPUTS, InputGradients, Operation, of_one};
+use super::node::{HostOperation, node};
 use rogs_kernels::{pointwise, vectorised};
 
 /// Values of a task.
@@ -15,11 +17,11 @@ struct Gelu;
 /// x * (1 + erf(x / sqrt 2)) / 2.
 pub fn gelu<const D: usize>(input: Tensor<D>) -> Tensor<D> {
     let shape = input.dims();
-    of_one(input, shape, Gelu)
+    node([input.into_dispatch()], shape, Arc::new(Gelu))
 }
 
-impl Operation for Gelu {
-    fn forward(&self, [input, ..]: [&[f32]; INPUTS]) -> Vec<f32> {
+impl HostOperation<1> for Gelu {
+    fn forward(&self, [input]: [&[f32]; 1]) -> Vec<f32> {
         let mut out = vec![0.0f32; input.len()];
         out.par_chunks_mut(TASK)
             .zip(input.par_chunks(TASK))
@@ -36,7 +38,7 @@ impl Operation for Gelu {
         out
     }
 
-    fn backward(&self, gradient: &[f32], [input, ..]: [&[f32]; INPUTS], _: [bool; INPUTS]) -> InputGradients {
+    fn backward(&self, gradient: &[f32], [input]: [&[f32]; 1], _: [bool; 1]) -> [Option<Vec<f32>>; 1] {
         let mut out = vec![0.0f32; input.len()];
         out.par_chunks_mut(TASK)
             .zip(input.par_chunks(TASK).zip(gradient.par_chunks(TASK)))
@@ -50,6 +52,6 @@ impl Operation for Gelu {
                     },
                 );
             });
-        [Some(out), None, None]
+        [Some(out)]
     }
 }

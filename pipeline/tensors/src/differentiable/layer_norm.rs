@@ -1,17 +1,19 @@
 //! Layer normalisation over the last dimension.
 
+use std::sync::Arc;
+
 use burn::tensor::Tensor;
 use rayon::prelude::*;
 
-use super::{INPUTS, InputGradients, Operation, of_three};
+use super::node::{HostOperation, node};
 use rogs_kernels::lanes::sum;
-use rogs_kernels::vectorised;
+use rogs_kernels::{Norm, moments, vectorised};
 
 /// Rows of a task.
 const TASK_ROWS: usize = 64;
 
 #[derive(Debug)]
-struct Norm {
+struct LayerNorm {
     size: usize,
     epsilon: f32,
 }
@@ -20,22 +22,18 @@ struct Norm {
 pub fn layer_norm<const D: usize>(input: Tensor<D>, weight: Tensor<1>, bias: Tensor<1>, epsilon: f64) -> Tensor<D> {
     let (shape, size) = (input.dims(), input.dims()[D - 1]);
     let epsilon = epsilon as f32;
-    of_three(input, weight, bias, shape, Norm { size, epsilon })
+    let inputs = [input.into_dispatch(), weight.into_dispatch(), bias.into_dispatch()];
+    node(inputs, shape, Arc::new(LayerNorm { size, epsilon }))
 }
 
-impl Norm {
-    /// Mean and 1 / sqrt(variance + epsilon) of a row.
-    #[inline(always)]
-    fn moments(&self, row: &[f32]) -> (f32, f32) {
-        let mean = sum(row, |value| value) / self.size as f32;
-        let variance = sum(row, |value| (value - mean) * (value - mean)) / self.size as f32;
-        (mean, 1.0 / (variance + self.epsilon).sqrt())
-    }
-}
-
-impl Operation for Norm {
-    fn forward(&self, [input, weight, bias]: [&[f32]; INPUTS]) -> Vec<f32> {
+impl HostOperation<3> for LayerNorm {
+    fn forward(&self, [input, weight, bias]: [&[f32]; 3]) -> Vec<f32> {
         let size = self.size.max(1);
+        let norm = Norm {
+            weight,
+            bias,
+            epsilon: self.epsilon,
+        };
         let mut out = vec![0.0f32; input.len()];
         out.par_chunks_mut(TASK_ROWS * size)
             .zip(input.par_chunks(TASK_ROWS * size))
@@ -43,12 +41,9 @@ impl Operation for Norm {
                 vectorised(
                     #[inline(always)]
                     || {
-                        for (out, row) in out.chunks_exact_mut(size).zip(input.chunks_exact(size)) {
-                            let (mean, scale) = self.moments(row);
-                            let affine = weight.iter().zip(bias);
-                            for ((out, &value), (weight, bias)) in out.iter_mut().zip(row).zip(affine) {
-                                *out = ((value - mean) * scale).mul_add(*weight, *bias);
-                            }
+                        out.copy_from_slice(input);
+                        for row in out.chunks_exact_mut(size) {
+                            norm.apply(row);
                         }
                     },
                 );
@@ -57,12 +52,7 @@ impl Operation for Norm {
     }
 
     // With y the normalised row and h = gradient * weight: scale * (h - mean(h) - y * mean(h y)).
-    fn backward(
-        &self,
-        gradient: &[f32],
-        [input, weight, _]: [&[f32]; INPUTS],
-        wanted: [bool; INPUTS],
-    ) -> InputGradients {
+    fn backward(&self, gradient: &[f32], [input, weight, _]: [&[f32]; 3], wanted: [bool; 3]) -> [Option<Vec<f32>>; 3] {
         let size = self.size.max(1);
         let mut of_input = vec![0.0f32; input.len()];
         let partial: Vec<[Vec<f32>; 2]> = of_input
@@ -80,7 +70,7 @@ impl Operation for Norm {
                     || {
                         let rows = input.chunks_exact(size).zip(gradient.chunks_exact(size));
                         for (out, (row, gradient)) in out.chunks_exact_mut(size).zip(rows) {
-                            let (mean, scale) = self.moments(row);
+                            let (mean, scale) = moments(row, self.epsilon);
                             for k in 0..size {
                                 let unit = (row[k] - mean) * scale;
                                 of_weight[k] += gradient[k] * unit;

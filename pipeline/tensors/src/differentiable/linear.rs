@@ -1,15 +1,12 @@
 //! x W^T + b.
 
+use std::sync::Arc;
+
 use burn::tensor::Tensor;
-use rayon::prelude::*;
 
-use super::{INPUTS, InputGradients, Operation, of_three};
-use rogs_kernels::products::product;
-use rogs_kernels::transposed;
-use rogs_kernels::{PackedWeight, Precision};
-
-/// Rows of the weight whose gradient is one task.
-const TASK_OUTPUTS: usize = 96;
+use super::node::{HostOperation, node};
+use rogs_kernels::pointwise::add_assign;
+use rogs_kernels::{Matrix, PackedWeight, Precision};
 
 #[derive(Debug)]
 struct Layer {
@@ -29,54 +26,32 @@ pub fn linear<const D: usize>(input: Tensor<D>, weight: Tensor<2>, bias: Tensor<
         outputs,
         products,
     };
-    of_three(input, weight, bias, shape, layer)
+    let inputs = [input.into_dispatch(), weight.into_dispatch(), bias.into_dispatch()];
+    node(inputs, shape, Arc::new(layer))
 }
 
-impl Operation for Layer {
-    fn forward(&self, [input, weight, bias]: [&[f32]; INPUTS]) -> Vec<f32> {
+impl HostOperation<3> for Layer {
+    fn forward(&self, [input, weight, bias]: [&[f32]; 3]) -> Vec<f32> {
         PackedWeight::new(weight, self.inputs, self.products).apply(
             input,
             #[inline(always)]
-            |_, column, values| {
-                for (value, bias) in values.iter_mut().zip(&bias[column..]) {
-                    *value += bias;
-                }
-            },
+            |_, column, values| add_assign(values, &bias[column..]),
         )
     }
 
-    fn backward(
-        &self,
-        gradient: &[f32],
-        [input, weight, _]: [&[f32]; INPUTS],
-        wanted: [bool; INPUTS],
-    ) -> InputGradients {
+    fn backward(&self, gradient: &[f32], [input, weight, _]: [&[f32]; 3], wanted: [bool; 3]) -> [Option<Vec<f32>>; 3] {
         let &Self {
             inputs,
             outputs,
             products,
         } = self;
-        let rows = gradient.len() / outputs.max(1);
         let of_input = wanted[0].then(|| {
-            let turned = PackedWeight::strided(weight, [inputs, outputs], [1, inputs], products);
+            let turned = PackedWeight::of(Matrix::new(weight, inputs).transposed(), products);
             turned.apply(gradient, |_, _, _| {})
         });
-        let of_weight = wanted[1].then(|| match products {
-            Precision::F32 => {
-                let mut sums = vec![0.0f32; outputs * inputs];
-                sums.par_chunks_mut((TASK_OUTPUTS * inputs).max(1))
-                    .enumerate()
-                    .for_each(|(task, sums)| {
-                        let sizes = [sums.len() / inputs, inputs, rows];
-                        let gradient = &gradient[task * TASK_OUTPUTS..];
-                        product(sizes, (sums, inputs, false), (gradient, 1, outputs), (input, inputs, 1));
-                    });
-                sums
-            }
-            Precision::Bf16 => {
-                let input = PackedWeight::strided(input, [inputs, rows], [1, inputs], products);
-                input.apply(&transposed(gradient, rows, |value| value), |_, _, _| {})
-            }
+        let of_weight = wanted[1].then(|| {
+            let input = PackedWeight::of(Matrix::new(input, inputs).transposed(), products);
+            input.apply_to(Matrix::new(gradient, outputs).transposed(), |_, _, _| {})
         });
         let of_bias = wanted[2].then(|| {
             let mut sums = vec![0.0f64; outputs];

@@ -1,9 +1,11 @@
 //! Bilinear resampling that keeps the corner pixel centres in place.
 
+use std::sync::Arc;
+
 use burn::tensor::Tensor;
 use rayon::prelude::*;
 
-use super::{INPUTS, InputGradients, Operation, of_one};
+use super::node::{HostOperation, node};
 use rogs_kernels::Axis;
 
 #[derive(Debug)]
@@ -19,12 +21,13 @@ pub fn resize(input: Tensor<4>, [height, width]: [usize; 2]) -> Tensor<4> {
         rows: Axis::new(rows, height),
         columns: Axis::new(columns, width),
     };
-    of_one(input, [batch, channels, height, width], operation)
+    let shape = [batch, channels, height, width];
+    node([input.into_dispatch()], shape, Arc::new(operation))
 }
 
-impl Operation for Resize {
+impl HostOperation<1> for Resize {
     // Columns first: between rows, whole rows are mixed.
-    fn forward(&self, [input, ..]: [&[f32]; INPUTS]) -> Vec<f32> {
+    fn forward(&self, [input]: [&[f32]; 1]) -> Vec<f32> {
         let (rows, columns) = (&self.rows, &self.columns);
         let (height, width) = (rows.taps.len(), columns.taps.len());
         let area = rows.inputs * columns.inputs;
@@ -49,7 +52,7 @@ impl Operation for Resize {
         out
     }
 
-    fn backward(&self, gradient: &[f32], [input, ..]: [&[f32]; INPUTS], _: [bool; INPUTS]) -> InputGradients {
+    fn backward(&self, gradient: &[f32], [input]: [&[f32]; 1], _: [bool; 1]) -> [Option<Vec<f32>>; 1] {
         let (rows, columns) = (&self.rows, &self.columns);
         let (height, width) = (rows.taps.len(), columns.taps.len());
         let area = rows.inputs * columns.inputs;
@@ -73,6 +76,6 @@ impl Operation for Resize {
                     }
                 }
             });
-        [Some(out), None, None]
+        [Some(out)]
     }
 }

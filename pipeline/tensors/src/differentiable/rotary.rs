@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use burn::tensor::Tensor;
 
-use super::{INPUTS, InputGradients, Operation, of_one};
+use super::node::{HostOperation, node};
 use rogs_kernels::RotaryTable;
 
 #[derive(Debug)]
@@ -13,15 +13,15 @@ struct Rotate(Arc<RotaryTable>);
 /// Rotates queries or keys; the table repeats after its last position. `[B, heads, T, head size]`
 pub fn rotate(input: Tensor<4>, table: Arc<RotaryTable>) -> Tensor<4> {
     let shape = input.dims();
-    of_one(input, shape, Rotate(table))
+    node([input.into_dispatch()], shape, Arc::new(Rotate(table)))
 }
 
-impl Operation for Rotate {
-    fn forward(&self, [input, ..]: [&[f32]; INPUTS]) -> Vec<f32> {
+impl HostOperation<1> for Rotate {
+    fn forward(&self, [input]: [&[f32]; 1]) -> Vec<f32> {
         self.0.rotated(input)
     }
 
-    fn backward(&self, gradient: &[f32], _: [&[f32]; INPUTS], _: [bool; INPUTS]) -> InputGradients {
-        [Some(self.0.rotated_back(gradient)), None, None]
+    fn backward(&self, gradient: &[f32], _: [&[f32]; 1], _: [bool; 1]) -> [Option<Vec<f32>>; 1] {
+        [Some(self.0.rotated_back(gradient))]
     }
 }

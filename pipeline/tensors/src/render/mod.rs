@@ -45,12 +45,12 @@ mod tests;
 
 use std::sync::Arc;
 
-use burn::backend::Dispatch;
 use burn::tensor::{DType, Device, Tensor};
 use rogs_splat::{Counts, RasterCamera, RasterConfig};
 
+use crate::differentiable::node::node;
 use crate::{Error, Result};
-use op::{Call, Rasterise};
+use op::Call;
 
 /// Gaussians as tensors, all f32 on the CPU. `N` of them.
 #[derive(Debug, Clone)]
@@ -165,7 +165,7 @@ pub fn render_views(
     let device = means.device();
     let placeholder = || Tensor::<1>::zeros([1], &device).into_dispatch();
     let call = Arc::new(Call::new(cameras, config, degree, extra_channels, poses.is_some()));
-    let packed = <Dispatch as Rasterise>::rasterise(
+    let inputs = [
         means.clone().into_dispatch(),
         rotations.clone().into_dispatch(),
         scales.clone().into_dispatch(),
@@ -179,11 +179,9 @@ pub fn render_views(
             _ => placeholder(),
         },
         poses.map_or_else(placeholder, |poses| poses.clone().into_dispatch()),
-        Arc::clone(&call),
-        false,
-    );
+    ];
+    let packed: Tensor<1> = node(inputs, [call.len()], Arc::clone(&call) as Arc<_>);
     let counts = call.counts().map_err(bad)?;
-    let packed = Tensor::<1>::from_dispatch(packed);
     let (views, height, width) = (cameras.len(), first.height as usize, first.width as usize);
     let pixels = views * height * width;
     let part = |from: usize, channels: usize| packed.clone().narrow(0, from * pixels, channels * pixels);

@@ -2,6 +2,8 @@
 
 use rayon::prelude::*;
 
+use crate::Axis;
+
 /// A feature map. `[height, width, channels]`
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plane {
@@ -47,12 +49,12 @@ impl Plane {
 /// `stride` channels each. `out` is `[height * width, stride]`
 pub fn add_resized(map: &Plane, height: usize, width: usize, out: &mut [f32], stride: usize, offset: usize) {
     let channels = map.channels;
-    let rows = Taps::new(map.height, height);
-    let columns = Taps::new(map.width, width);
+    let (rows, columns) = (Axis::new(map.height, height), Axis::new(map.width, width));
     out.par_chunks_mut(width * stride).enumerate().for_each(|(row, out)| {
-        let (top, bottom, down) = rows.at(row);
-        for (column, out) in out.chunks_exact_mut(stride).enumerate() {
-            let (left, right, across) = columns.at(column);
+        let (top, down) = rows.taps[row];
+        let bottom = rows.second(top);
+        for (&(left, across), out) in columns.taps.iter().zip(out.chunks_exact_mut(stride)) {
+            let right = columns.second(left);
             let pixel = |r: usize, c: usize| &map.data[(r * map.width + c) * channels..][..channels];
             let (a, b, c, d) = (
                 pixel(top, left),
@@ -74,30 +76,6 @@ pub fn add_resized(map: &Plane, height: usize, width: usize, out: &mut [f32], st
             }
         }
     });
-}
-
-/// Source positions of a resized axis with aligned corners.
-struct Taps {
-    last: usize,
-    scale: f32,
-}
-
-impl Taps {
-    fn new(from: usize, to: usize) -> Self {
-        let scale = if to > 1 {
-            (from - 1) as f32 / (to - 1) as f32
-        } else {
-            0.0
-        };
-        Self { last: from - 1, scale }
-    }
-
-    /// Lower tap, upper tap, weight of the upper tap.
-    fn at(&self, index: usize) -> (usize, usize, f32) {
-        let position = index as f32 * self.scale;
-        let lower = (position as usize).min(self.last);
-        (lower, (lower + 1).min(self.last), position - lower as f32)
-    }
 }
 
 #[cfg(test)]

@@ -7,14 +7,9 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::weight_pairs;
+use super::weight_tile::{INPUTS, OUTPUTS, SIDE, Sums, Tile};
 use crate::Precision;
 
-/// Outputs whose sums are in registers.
-pub(crate) const OUTPUTS: usize = 4;
-/// Inputs whose sums are in registers.
-pub(crate) const INPUTS: usize = 2;
-/// Columns of a row of taps, and rows of taps.
-pub(crate) const SIDE: usize = 3;
 /// Numbers of the widest vector of any instruction set, for padding.
 const MAX_LANES: usize = 32;
 /// Tiles of a task.
@@ -34,9 +29,6 @@ pub struct Maps {
     /// Numbers that products are made of.
     pub products: Precision,
 }
-
-/// Sums of a tile.
-pub(crate) type Sums = [[[f32; SIDE]; INPUTS]; OUTPUTS];
 
 /// Sums over images and pixels, image by image. `gradient [B, out, H, W]`, `input [B, in, H, W]`; `[out, in, 3, 3]`
 pub fn weight_gradient(gradient: &[f32], input: &[f32], maps: Maps) -> Vec<f32> {
@@ -135,20 +127,6 @@ impl<T> Padded<T> {
     fn plane(&self, channel: usize) -> &[T] {
         &self.values[channel * self.plane..][..self.plane]
     }
-}
-
-/// One row of taps of a few outputs and inputs.
-pub(crate) struct Tile<'a, T> {
-    /// Planes of the result's gradient.
-    pub(crate) gradient: [&'a [T]; OUTPUTS],
-    /// Planes of the input, with a row and a column of zeros around.
-    pub(crate) input: [&'a [T]; INPUTS],
-    /// Distances of rows in the two.
-    pub(crate) strides: [usize; 2],
-    /// The row of taps.
-    pub(crate) row: usize,
-    /// Height and width of the maps.
-    pub(crate) size: [usize; 2],
 }
 
 impl WithSimd for Tile<'_, f32> {

@@ -2,8 +2,9 @@
 
 use rayon::prelude::*;
 
-use super::ROWS_PER_PIECE;
-use super::dense::exp;
+use crate::lanes::dot;
+use crate::layers::ROWS_PER_PIECE;
+use crate::pointwise::exp;
 use crate::vectorised;
 
 /// softmax over the neighbours of a token of `q . k / sqrt(width)`, times their values. `qkv [n, 3 * width]` ordered
@@ -41,18 +42,4 @@ pub fn neighbour_attention(qkv: &[f32], width: usize, indices: &[u32], count: us
             );
         });
     out
-}
-
-/// Dot product in sixteen interleaved lanes.
-#[inline(always)]
-fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<16>(), b.as_chunks::<16>());
-    let mut lanes = [0.0f32; 16];
-    for (a, b) in a.iter().zip(b) {
-        for ((lane, a), b) in lanes.iter_mut().zip(a).zip(b) {
-            *lane += a * b;
-        }
-    }
-    let tail: f32 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
-    lanes.iter().sum::<f32>() + tail
 }

@@ -1,11 +1,11 @@
-//! Convolution and pooling of channels-last maps.
+//! Convolution of maps with channels last, of any size and stride: receptive fields copied together are the rows of a
+//! matrix product.
 
 use rayon::prelude::*;
 
-use super::Plane;
-use super::dense::add_assign;
-use crate::ShapeError;
-use crate::{PackedWeight, Precision};
+use crate::layers::ROWS_PER_PIECE;
+use crate::pointwise::{add_assign, relu_in_place};
+use crate::{Matrix, PackedWeight, Plane, Precision};
 
 /// A square convolution with zero padding.
 #[derive(Debug, Clone)]
@@ -25,6 +25,10 @@ pub struct Conv {
 impl Conv {
     /// A convolution from PyTorch values: weight `[outputs, inputs, size, size]`, bias `[outputs]` or none. Padding is
     /// `size / 2`.
+    ///
+    /// # Panics
+    /// When the values have other sizes.
+    #[must_use]
     pub fn new(
         weight: &[f32],
         bias: Option<Vec<f32>>,
@@ -32,13 +36,12 @@ impl Conv {
         outputs: usize,
         size: usize,
         stride: usize,
-    ) -> Result<Self, ShapeError> {
+    ) -> Self {
         let bias = bias.unwrap_or_else(|| vec![0.0; outputs]);
-        if weight.len() != outputs * inputs * size * size || bias.len() != outputs {
-            return Err(ShapeError(format!(
-                "a {size}x{size} convolution {inputs} -> {outputs} has other weight sizes"
-            )));
-        }
+        assert!(
+            weight.len() == outputs * inputs * size * size && bias.len() == outputs,
+            "a {size}x{size} convolution {inputs} -> {outputs} has other weight sizes"
+        );
         let mut reordered = vec![0.0; weight.len()];
         for out in 0..outputs {
             for input in 0..inputs {
@@ -48,7 +51,7 @@ impl Conv {
                 }
             }
         }
-        Ok(Self {
+        Self {
             size,
             stride,
             padding: size / 2,
@@ -57,7 +60,7 @@ impl Conv {
             packed: packed(&reordered, outputs),
             weight: reordered,
             bias,
-        })
+        }
     }
 
     /// Folds a per-channel affine map `y -> scale y + shift` of the output into the convolution.
@@ -74,53 +77,75 @@ impl Conv {
         self
     }
 
+    /// Channels of the result.
+    #[must_use]
+    pub fn outputs(&self) -> usize {
+        self.outputs
+    }
+
     /// The convolution of a map.
+    #[must_use]
     pub fn forward(&self, map: &Plane) -> Plane {
-        let length = |n: usize| (n + 2 * self.padding - self.size) / self.stride + 1;
-        let mut out = Plane::zeros(length(map.height), length(map.width), self.outputs);
+        let [height, width] = self.output_size([map.height, map.width]);
+        let mut out = Plane::zeros(height, width, self.outputs);
+        self.run(&map.data, [map.height, map.width], false, &mut out.data);
+        out
+    }
+
+    /// Rows and columns of the convolution of a map of this size.
+    #[must_use]
+    pub fn output_size(&self, size: [usize; 2]) -> [usize; 2] {
+        size.map(|n| (n + 2 * self.padding - self.size) / self.stride + 1)
+    }
+
+    /// The convolution of a map with channels last; negative values become 0 if `rectify`. `map [height, width, inputs]`,
+    /// `out [height', width', outputs]`
+    pub fn run(&self, map: &[f32], size: [usize; 2], rectify: bool, out: &mut [f32]) {
+        let [_, width] = self.output_size(size);
         let columns = self.size * self.size * self.inputs;
         // As many output rows a piece as give about 256 pixels, for small maps; the piece size is a function of the
         // shape alone.
-        let rows = (super::ROWS_PER_PIECE / out.width).max(1);
-        out.data
-            .par_chunks_mut(rows * out.width * self.outputs)
+        let rows = (ROWS_PER_PIECE / width).max(1);
+        out.par_chunks_mut(rows * width * self.outputs)
             .enumerate()
             .for_each_init(Vec::new, |patches, (piece, data)| {
                 let pixels = data.len() / self.outputs;
                 patches.clear();
                 patches.resize(pixels * columns, 0.0);
-                for row in 0..pixels / out.width {
-                    let patches = &mut patches[row * out.width * columns..][..out.width * columns];
-                    self.gather_row(map, piece * rows + row, patches);
+                for (row, patches) in patches.chunks_exact_mut(width * columns).enumerate() {
+                    self.gather_row(map, size, piece * rows + row, patches);
                 }
                 self.packed.rows(
                     patches,
                     data,
                     self.outputs,
                     #[inline(always)]
-                    |_, column, values| add_assign(values, &self.bias[column..]),
+                    |_, column, values| {
+                        add_assign(values, &self.bias[column..]);
+                        if rectify {
+                            relu_in_place(values);
+                        }
+                    },
                 );
             });
-        out
     }
 
     /// Copies the receptive fields of one output row. `[width, size, size, inputs]`
-    fn gather_row(&self, map: &Plane, row: usize, patches: &mut [f32]) {
+    fn gather_row(&self, map: &[f32], [height, width]: [usize; 2], row: usize, patches: &mut [f32]) {
         let (size, channels) = (self.size, self.inputs);
         for (column, patch) in patches.chunks_exact_mut(size * size * channels).enumerate() {
             let left = (column * self.stride) as isize - self.padding as isize;
             let first = (-left).clamp(0, size as isize) as usize;
-            let last = (map.width as isize - left).clamp(0, size as isize) as usize;
+            let last = (width as isize - left).clamp(0, size as isize) as usize;
             for (tap, line) in patch.chunks_exact_mut(size * channels).enumerate() {
                 let y = (row * self.stride + tap) as isize - self.padding as isize;
-                if y < 0 || y >= map.height as isize || first >= last {
+                if y < 0 || y >= height as isize || first >= last {
                     line.fill(0.0);
                     continue;
                 }
-                let start = (y as usize * map.width + (left + first as isize) as usize) * channels;
+                let start = (y as usize * width + (left + first as isize) as usize) * channels;
                 line[..first * channels].fill(0.0);
-                line[first * channels..last * channels]
-                    .copy_from_slice(&map.data[start..start + (last - first) * channels]);
+                line[first * channels..last * channels].copy_from_slice(&map[start..start + (last - first) * channels]);
                 line[last * channels..].fill(0.0);
             }
         }
@@ -129,31 +154,7 @@ impl Conv {
 
 /// Weights `[taps and inputs, outputs]` packed for products.
 fn packed(weight: &[f32], outputs: usize) -> PackedWeight {
-    let inputs = weight.len() / outputs.max(1);
-    PackedWeight::strided(weight, [outputs, inputs], [1, outputs], Precision::F32)
-}
-
-/// 3x3 maximum, stride 2, padding 1.
-pub fn max_pool_3x3_stride_2(map: &Plane) -> Plane {
-    let mut out = Plane::zeros(map.height.div_ceil(2), map.width.div_ceil(2), map.channels);
-    let (width, channels) = (out.width, map.channels);
-    out.data
-        .par_chunks_mut(width * channels)
-        .enumerate()
-        .for_each(|(row, line)| {
-            for (column, pixel) in line.chunks_exact_mut(channels).enumerate() {
-                pixel.fill(f32::NEG_INFINITY);
-                for y in (2 * row).saturating_sub(1)..(2 * row + 2).min(map.height) {
-                    for x in (2 * column).saturating_sub(1)..(2 * column + 2).min(map.width) {
-                        let source = &map.data[(y * map.width + x) * channels..][..channels];
-                        for (best, &value) in pixel.iter_mut().zip(source) {
-                            *best = best.max(value);
-                        }
-                    }
-                }
-            }
-        });
-    out
+    PackedWeight::of(Matrix::new(weight, outputs).transposed(), Precision::F32)
 }
 
 #[cfg(test)]
@@ -215,9 +216,7 @@ mod tests {
             let weight: Vec<f32> = (0..outputs * inputs * size * size)
                 .map(|i| ((i * 13) % 11) as f32 / 8.0 - 0.5)
                 .collect();
-            let fast = Conv::new(&weight, None, inputs, outputs, size, stride)
-                .unwrap()
-                .forward(&map);
+            let fast = Conv::new(&weight, None, inputs, outputs, size, stride).forward(&map);
             let slow = plain(&map, &weight, outputs, size, stride);
             assert_eq!((fast.height, fast.width), (slow.height, slow.width));
             assert!(
@@ -225,16 +224,5 @@ mod tests {
                 "{height}x{width} {size}/{stride}"
             );
         }
-    }
-
-    #[test]
-    fn pooling_takes_the_maximum_of_the_window() {
-        let map = Plane {
-            height: 3,
-            width: 4,
-            channels: 1,
-            data: (0..12).map(|i| -(i as f32)).collect(),
-        };
-        assert_eq!(max_pool_3x3_stride_2(&map).data, vec![0.0, -1.0, -4.0, -5.0]);
     }
 }

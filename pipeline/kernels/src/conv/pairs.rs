@@ -1,8 +1,8 @@
 //! The sums of a 3x3 convolution on numbers rounded to bfloat16, in pairs of input channels: half the instructions of the
-//! f32 kernel where the processor has AVX512_BF16, the same bits in portable code elsewhere (see [`super::bf16`]).
+//! f32 kernel where the processor has AVX512_BF16, the same bits in portable code elsewhere (see [`crate::bf16`]).
 
-use super::bf16::{multiply_add, pack_two, pair};
-use super::conv::{Band, TILE};
+use super::band::{Band, TILE};
+use crate::bf16::{multiply_add, pack_two, pair};
 use crate::vectorised;
 
 /// Pixels of a vector.
@@ -96,7 +96,7 @@ fn store<const V: usize>(
 /// Sums one tile whose upper left inputs lie at `place` of a plane.
 fn tile<const V: usize>(map: &Pairs, weights: &[u32], bias: &[f32], place: usize) -> Sums<V> {
     #[cfg(target_arch = "x86_64")]
-    if super::bf16::is_available() {
+    if crate::bf16::is_available() {
         return x86::tile(map, weights, bias, place);
     }
     portable_tile(map, weights, bias, place)
@@ -137,7 +137,7 @@ mod x86 {
 
     use super::{LANES, Pairs, Sums, TAPS, TILE};
     use crate::bf16::{as_pairs, is_available};
-    use crate::product::for_rows;
+    use crate::tile::for_rows;
 
     /// Repeats code for every channel of a tile, as [`for_rows`] does for rows.
     macro_rules! for_channels {
@@ -194,10 +194,9 @@ mod x86 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::conv::{After, Conv3x3};
-    use super::super::product::Precision;
-    use super::super::product::tests::noise;
     use super::*;
+    use crate::noise::noise;
+    use crate::{After, Conv3x3, Precision};
 
     #[test]
     fn equals_the_f32_kernel_on_rounded_numbers() {

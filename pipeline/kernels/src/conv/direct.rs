@@ -4,17 +4,10 @@
 //! a tile of 8 output channels by up to 3 vectors is summed over all inputs without leaving the registers.
 
 use pulp::{Arch, Simd, WithSimd};
-use rayon::prelude::*;
 
-use super::conv_pairs;
-use super::product::Precision;
-
-/// Output channels of a register tile.
-pub(crate) const TILE: usize = 8;
-/// Zero columns left of the image in a band buffer.
-const LEFT: usize = 1;
-/// Widest vector of any instruction set, for sizing buffers.
-const MAX_LANES: usize = 16;
+use super::band::{Band, TILE, band_rows, in_bands};
+use super::pairs;
+use crate::Precision;
 
 /// What happens to the sums.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,7 +31,7 @@ pub struct Conv3x3 {
 enum Weights {
     /// `[tiles][inputs][9][TILE]`
     Single(Vec<f32>),
-    /// As [`conv_pairs`] takes them.
+    /// As [`pairs`] takes them.
     Pairs(Vec<u32>),
 }
 
@@ -62,7 +55,7 @@ impl Conv3x3 {
         Self {
             weights: match precision {
                 Precision::F32 => Weights::Single(pack(weight, outputs, inputs)),
-                Precision::Bf16 => Weights::Pairs(conv_pairs::pack(weight, outputs, inputs)),
+                Precision::Bf16 => Weights::Pairs(pairs::pack(weight, outputs, inputs)),
             },
             bias: padded,
             inputs,
@@ -82,43 +75,27 @@ impl Conv3x3 {
     ) -> Vec<f32> {
         let area = height * width;
         let images = input.len() / (self.inputs * area).max(1);
-        let rows = band_rows(self.inputs, width);
-        let bands = height.div_ceil(rows);
-        let mut output = vec![0.0f32; images * self.outputs * area];
-        let computed: Vec<Vec<f32>> = (0..images * bands)
-            .into_par_iter()
-            .map(|task| {
-                let (image, first) = (task / bands, (task % bands) * rows);
-                let count = rows.min(height - first);
-                let source = &input[image * self.inputs * area..][..self.inputs * area];
-                let mut band = Band::new(self.inputs, count, width);
-                band.fill(|channel, row, out| {
-                    let Some(row) = (first + row).checked_sub(1).filter(|&row| row < height) else {
-                        return;
-                    };
-                    let values = &source[channel * area + row * width..][..width];
-                    if rectify {
-                        out.iter_mut()
-                            .zip(values)
-                            .for_each(|(out, &value)| *out = value.max(0.0));
-                    } else {
-                        out.copy_from_slice(values);
-                    }
-                });
-                let mut sums = self.band(&band);
-                self.finish(&mut sums, after, residual, (image, first, count), [height, width]);
-                sums
-            })
-            .collect();
-        for (task, band) in computed.into_iter().enumerate() {
-            let (image, first) = (task / bands, (task % bands) * rows);
-            let length = rows.min(height - first) * width;
-            for (channel, values) in band.chunks_exact(length).take(self.outputs).enumerate() {
-                let start = (image * self.outputs + channel) * area + first * width;
-                output[start..start + length].copy_from_slice(values);
-            }
-        }
-        output
+        let step = band_rows(self.inputs, width);
+        in_bands(images, self.outputs, [height, width], step, |image, first, rows| {
+            let source = &input[image * self.inputs * area..][..self.inputs * area];
+            let mut band = Band::new(self.inputs, rows, width);
+            band.fill(|channel, row, out| {
+                let Some(row) = (first + row).checked_sub(1).filter(|&row| row < height) else {
+                    return;
+                };
+                let values = &source[channel * area + row * width..][..width];
+                if rectify {
+                    out.iter_mut()
+                        .zip(values)
+                        .for_each(|(out, &value)| *out = value.max(0.0));
+                } else {
+                    out.copy_from_slice(values);
+                }
+            });
+            let mut sums = self.band(&band);
+            self.finish(&mut sums, after, residual, (image, first, rows), [height, width]);
+            sums
+        })
     }
 
     fn finish(
@@ -147,7 +124,8 @@ impl Conv3x3 {
     /// Convolves one band. Returns `[out rounded up to tiles, rows, width]`.
     pub(crate) fn band(&self, band: &Band) -> Vec<f32> {
         let tiles = self.bias.len() / TILE;
-        let mut sums = vec![0.0f32; tiles * TILE * band.rows * band.width];
+        let [rows, width] = band.size();
+        let mut sums = vec![0.0f32; tiles * TILE * rows * width];
         match &self.weights {
             Weights::Single(weights) => Arch::new().dispatch(BandKernel {
                 weights,
@@ -155,66 +133,9 @@ impl Conv3x3 {
                 band,
                 sums: &mut sums,
             }),
-            Weights::Pairs(weights) => conv_pairs::band(weights, &self.bias, band, &mut sums),
+            Weights::Pairs(weights) => pairs::band(weights, &self.bias, band, &mut sums),
         }
         sums
-    }
-}
-
-/// Rows of a band: the buffer of the inputs should fit the second-level cache.
-pub(crate) fn band_rows(inputs: usize, width: usize) -> usize {
-    const CACHE_FLOATS: usize = 160 << 10;
-    (CACHE_FLOATS / (inputs * (width + 2 * MAX_LANES)).max(1))
-        .saturating_sub(2)
-        .clamp(2, 16)
-}
-
-/// Input rows of a band of output rows, with a row above and below, padded with zeros. `[inputs][rows + 2][stride]`
-pub(crate) struct Band {
-    values: Vec<f32>,
-    rows: usize,
-    width: usize,
-    stride: usize,
-}
-
-impl Band {
-    pub(crate) fn new(inputs: usize, rows: usize, width: usize) -> Self {
-        // Tiles read whole vectors, up to one beyond the last column and its right neighbour.
-        let stride = width.next_multiple_of(MAX_LANES) + MAX_LANES;
-        Self {
-            values: vec![0.0; inputs * (rows + 2) * stride],
-            rows,
-            width,
-            stride,
-        }
-    }
-
-    /// Rows and columns that are computed.
-    pub(crate) fn size(&self) -> [usize; 2] {
-        [self.rows, self.width]
-    }
-
-    /// Distance of rows in the buffer.
-    pub(crate) fn stride(&self) -> usize {
-        self.stride
-    }
-
-    /// Distance of channels in the buffer.
-    pub(crate) fn plane(&self) -> usize {
-        (self.rows + 2) * self.stride
-    }
-
-    /// The buffer. `[inputs][rows + 2][stride]`
-    pub(crate) fn values(&self) -> &[f32] {
-        &self.values
-    }
-
-    /// Fills each input row: `row(channel, index, out)` where index 0 is the row above the band. Rows left alone are zero.
-    pub(crate) fn fill(&mut self, mut row: impl FnMut(usize, usize, &mut [f32])) {
-        let rows = self.rows + 2;
-        for (index, values) in self.values.chunks_exact_mut(self.stride).enumerate() {
-            row(index / rows, index % rows, &mut values[LEFT..LEFT + self.width]);
-        }
     }
 }
 
@@ -236,19 +157,20 @@ impl WithSimd for BandKernel<'_> {
             band,
             sums,
         } = self;
-        let vectors = band.width.div_ceil(S::F32_LANES);
-        let (per_tile, plane) = (conv.inputs * 9 * TILE, band.rows * band.width);
+        let [rows, width] = band.size();
+        let vectors = width.div_ceil(S::F32_LANES);
+        let (per_tile, plane) = (conv.inputs * 9 * TILE, rows * width);
         let (tiles, biases) = (weights.chunks_exact(per_tile), conv.bias.chunks_exact(TILE));
         for ((weights, bias), out) in tiles.zip(biases).zip(sums.chunks_exact_mut(TILE * plane)) {
-            for row in 0..band.rows {
+            for row in 0..rows {
                 let mut first = 0;
                 while first < vectors {
                     let column = first * S::F32_LANES;
                     // 4 = 2 + 2 keeps more sums in flight than 3 + 1.
                     first += match vectors - first {
-                        1 => tile::<S, 1>(simd, conv, band, weights, bias, out, row, column),
-                        2 | 4 => tile::<S, 2>(simd, conv, band, weights, bias, out, row, column),
-                        _ => tile::<S, 3>(simd, conv, band, weights, bias, out, row, column),
+                        1 => tile::<S, 1>(simd, band, weights, bias, out, row, column),
+                        2 | 4 => tile::<S, 2>(simd, band, weights, bias, out, row, column),
+                        _ => tile::<S, 3>(simd, band, weights, bias, out, row, column),
                     };
                 }
             }
@@ -260,7 +182,6 @@ impl WithSimd for BandKernel<'_> {
 #[inline(always)]
 fn tile<S: Simd, const V: usize>(
     simd: S,
-    conv: &Conv3x3,
     band: &Band,
     weights: &[f32],
     bias: &[f32],
@@ -269,12 +190,12 @@ fn tile<S: Simd, const V: usize>(
     column: usize,
 ) -> usize {
     let mut sums: [[S::f32s; V]; TILE] = std::array::from_fn(|channel| [simd.splat_f32s(bias[channel]); V]);
-    let channel_stride = band.plane();
+    let (channel_stride, stride) = (band.plane(), band.stride());
     let span = V * S::F32_LANES;
     for (channel, weights) in weights.chunks_exact(9 * TILE).enumerate() {
-        let rows = &band.values[channel * channel_stride + row * band.stride + column..];
+        let rows = &band.values()[channel * channel_stride + row * stride + column..];
         for ky in 0..3 {
-            let values = &rows[ky * band.stride..][..span + 2];
+            let values = &rows[ky * stride..][..span + 2];
             for kx in 0..3 {
                 let (values, _) = S::as_simd_f32s(&values[kx..kx + span]);
                 let taps = &weights[(3 * ky + kx) * TILE..][..TILE];
@@ -287,10 +208,10 @@ fn tile<S: Simd, const V: usize>(
             }
         }
     }
-    let plane = band.rows * band.width;
-    let valid = (band.width - column).min(span);
+    let [rows, width] = band.size();
+    let valid = (width - column).min(span);
     for (output, sums) in sums.iter().enumerate() {
-        let row = &mut out[output * plane + row * band.width + column..][..valid];
+        let row = &mut out[(output * rows + row) * width + column..][..valid];
         let mut chunks = row.chunks_mut(S::F32_LANES);
         for &sum in sums {
             if let Some(chunk) = chunks.next() {
@@ -298,13 +219,13 @@ fn tile<S: Simd, const V: usize>(
             }
         }
     }
-    debug_assert!(conv.outputs > 0);
     V
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::noise::noise;
 
     /// The definition.
     fn plain(
@@ -334,12 +255,6 @@ mod tests {
             }
         }
         result
-    }
-
-    fn noise(count: usize, seed: usize) -> Vec<f32> {
-        (0..count)
-            .map(|k| (((k * 7919 + seed * 104_729) % 1009) as f32 / 504.5) - 1.0)
-            .collect()
     }
 
     #[test]

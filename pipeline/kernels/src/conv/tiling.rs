@@ -1,4 +1,4 @@
-//! The transforms of minimal filtering, F(2x2, 3x3) and F(4x4, 3x3) (Lavin and Gray 2016), on vectors of channels.
+//! The transforms of Winograd's convolution, F(2x2, 3x3) and F(4x4, 3x3) (Lavin and Gray 2016), on vectors of channels.
 //!
 //! A filter of three taps gives `SIDE` outputs from `REACH = SIDE + 2` inputs by multiplying polynomials at `REACH - 1`
 //! points and at infinity. With the points 0, ±p, ±q of F(4, 3): the inputs' transform is the coefficients of
@@ -10,7 +10,7 @@ use std::f32::consts::{FRAC_1_SQRT_2, SQRT_2};
 use pulp::Simd;
 
 /// One-dimensional transforms of one tile size.
-pub(super) trait Tiling<const SIDE: usize, const REACH: usize> {
+pub(crate) trait Tiling<const SIDE: usize, const REACH: usize> {
     /// Inputs, `B^T d`.
     fn inputs<S: Simd>(simd: S, d: [S::f32s; REACH]) -> [S::f32s; REACH];
     /// Outputs, `A^T m`.
@@ -20,7 +20,7 @@ pub(super) trait Tiling<const SIDE: usize, const REACH: usize> {
 }
 
 /// F(2, 3) at the points 0, 1, -1.
-pub(super) struct Two;
+pub(crate) struct Two;
 
 impl Tiling<2, 4> for Two {
     #[inline(always)]
@@ -47,7 +47,7 @@ impl Tiling<2, 4> for Two {
 }
 
 /// F(4, 3) at the points 0, ±p, ±q.
-pub(super) struct Four;
+pub(crate) struct Four;
 
 /// The points, and their squares.
 const P: f32 = FRAC_1_SQRT_2;

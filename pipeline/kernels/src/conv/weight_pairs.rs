@@ -1,7 +1,7 @@
 //! The sums of a convolution's weight gradient on numbers rounded to bfloat16: pairs of neighbouring pixels, half the
 //! instructions of the f32 kernel where the processor has AVX512_BF16, the same bits in portable code elsewhere.
 
-use super::weight_gradient::{INPUTS, OUTPUTS, SIDE, Sums, Tile};
+use super::weight_tile::{INPUTS, OUTPUTS, SIDE, Sums, Tile};
 use crate::bf16::{multiply_add_each, rounded};
 use crate::vectorised;
 
@@ -129,7 +129,7 @@ mod x86 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::product::tests::noise;
+    use crate::noise::noise;
 
     #[test]
     fn the_instruction_and_the_portable_code_give_the_same_bits() {

@@ -5,21 +5,20 @@ use std::sync::Arc;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
 
-use super::FEATURES;
-use crate::Result;
-use rogs_kernels::sweep::GROUPS as SWEEP_GROUPS;
+use rogs_kernels::sweep::{FEATURES, GROUPS};
 use rogs_kernels::{Sweep, Taps};
-use rogs_tensors::parameters::{from_host, to_host};
-use rogs_tensors::{differentiable, host};
 
-/// Numbers of a tensor on a graphics processor; many refuse buffers of more than 128 MiB.
+use crate::parameters::{from_host, to_host};
+use crate::{Result, differentiable, host};
+
+/// Numbers of a tensor on a GPU; many refuse buffers of more than 128 MiB.
 const MOST_NUMBERS: usize = 24 << 20;
 
 /// Similarities of all depths, those of a group one after the other. `[S, F, rows, columns] -> [S, G D, h, w]`
 ///
 /// # Errors
 /// When a device cannot hand over values.
-pub(super) fn similarity(features: Tensor<4>, plan: Arc<Sweep>) -> Result<Tensor<4>> {
+pub fn similarity(features: Tensor<4>, plan: Arc<Sweep>) -> Result<Tensor<4>> {
     if differentiable::usable(&features) {
         return Ok(differentiable::sweep(features, plan));
     }
@@ -27,13 +26,13 @@ pub(super) fn similarity(features: Tensor<4>, plan: Arc<Sweep>) -> Result<Tensor
         let depths_at_a_time = (MOST_NUMBERS / features.dims()[1..].iter().product::<usize>()).max(1);
         return Ok(by_gathering(&features, &plan, depths_at_a_time));
     }
-    let shape = plan.shape();
-    if host::usable(&features) {
-        let values = move |features: &[f32], _: &[f32]| plan.similarity(features);
-        return Ok(host::read(features.clone(), features, shape, values));
-    }
     let device = features.device();
-    Ok(from_host(plan.similarity(&to_host(features)?), shape, &device))
+    let values = if host::usable(&features) {
+        host::with_values(&features, |features| plan.similarity(features))
+    } else {
+        plan.similarity(&to_host(features)?)
+    };
+    Ok(from_host(values, plan.shape(), &device))
 }
 
 /// The same by operations of the framework: frame by frame, for a few depths at a time, partner by partner.
@@ -52,14 +51,14 @@ fn by_gathering(features: &Tensor<4>, plan: &Sweep, depths_at_a_time: usize) -> 
             let with_partners = plan.partners[frame].iter().zip(&taps).map(|(partner, taps)| {
                 let there = Points::new(taps, first * cells, shape, &device).read(of_frame(partner.frame));
                 (own.clone() * there)
-                    .reshape([shape[0], SWEEP_GROUPS, FEATURES / SWEEP_GROUPS, cells])
+                    .reshape([shape[0], GROUPS, FEATURES / GROUPS, cells])
                     .sum_dim(2)
             });
             with_partners.reduce(|sum, similarity| sum + similarity)
         };
         let pieces: Option<Vec<Tensor<4>>> = (0..depths).step_by(depths_at_a_time).map(at_depths).collect();
         let map = pieces.map_or_else(
-            || Tensor::zeros([depths, SWEEP_GROUPS, 1, cells], &device),
+            || Tensor::zeros([depths, GROUPS, 1, cells], &device),
             |pieces| Tensor::cat(pieces, 0),
         );
         map.swap_dims(0, 1).reshape([1, channels, rows, columns])
@@ -103,10 +102,32 @@ impl Points {
 
 #[cfg(test)]
 mod tests {
-    use super::super::plan;
-    use super::super::plan::tests::frames;
+    use rogs_kernels::Partner;
+
     use super::*;
-    use crate::Attention;
+
+    /// Four frames side by side, all but the last of which see each other.
+    fn plan(grid: [usize; 2]) -> Sweep {
+        let partner = |frame: usize, other: usize| Partner {
+            frame: other,
+            turn: [2.0, 0.1, 0.5, 0.0, 1.9, 0.5, 0.0, 0.01, 1.0],
+            shift: [3.0 * (frame as f32 - other as f32), 0.5, 0.1],
+        };
+        let partners = |frame: usize| match frame {
+            3 => Vec::new(),
+            _ => (0..3)
+                .filter(|&other| other != frame)
+                .map(|other| partner(frame, other))
+                .collect(),
+        };
+        Sweep {
+            size: [grid[0] / 2, grid[1].div_ceil(2)],
+            grid,
+            image: [grid[0] as f32, grid[1] as f32 - 0.5],
+            depths_iu: vec![0.4, 0.7, 1.0, 2.0, 5.0],
+            partners: (0..4).map(partners).collect(),
+        }
+    }
 
     /// Against the kernel: values, and gradients under the same slopes. The frame without company gets neither.
     #[test]
@@ -120,7 +141,7 @@ mod tests {
                 &device,
             )
         };
-        let plan = Arc::new(plan::plan(&frames(Attention::Joint), 5, grid));
+        let plan = Arc::new(plan(grid));
         let features = map([4, FEATURES, grid[0], grid[1]], 0).require_grad();
         let slopes = map(plan.shape(), 5);
         let of = |similarity: Tensor<4>| {

@@ -1,0 +1,165 @@
+//! 2-D convolutions.
+
+use std::sync::{Arc, OnceLock};
+
+use burn::tensor::ops::ConvOptions;
+use burn::tensor::{Tensor, module};
+use rogs_kernels::{After, Conv3x3, Precision, TileSize, Winograd};
+
+use super::relu;
+use crate::parameters::{Scope, from_host};
+use crate::{Result, differentiable, host};
+
+/// 2-D convolution weights.
+#[derive(Debug, Clone)]
+pub struct Conv {
+    /// `[out, in, k, k]`
+    pub weight: Tensor<4>,
+    /// `[out]`
+    pub bias: Option<Tensor<1>>,
+    stride: usize,
+    padding: usize,
+    /// Numbers that products are made of while gradients are recorded.
+    products: Precision,
+    /// The weights as the CPU kernel takes them, made when first needed.
+    packed: Arc<OnceLock<Conv3x3>>,
+    /// The same for Winograd's algorithm; `None` inside where the layer is too narrow to gain from it.
+    tiled: Arc<OnceLock<Option<Winograd>>>,
+}
+
+/// Channels from which Winograd's algorithm pays.
+const WIDE: usize = 64;
+
+impl Conv {
+    /// Reads a `kernel x kernel` convolution padded to keep its size (before the stride).
+    ///
+    /// # Errors
+    /// When a tensor is missing or has another shape.
+    pub fn load(scope: &Scope<'_>, [outputs, inputs]: [usize; 2], kernel: usize, stride: usize) -> Result<Self> {
+        let bias = Some(scope.get("bias", [outputs])?);
+        Ok(Self {
+            bias,
+            ..Self::load_unbiased(scope, [outputs, inputs], kernel, stride)?
+        })
+    }
+
+    /// The same without a bias.
+    ///
+    /// # Errors
+    /// When a tensor is missing or has another shape.
+    pub fn load_unbiased(
+        scope: &Scope<'_>,
+        [outputs, inputs]: [usize; 2],
+        kernel: usize,
+        stride: usize,
+    ) -> Result<Self> {
+        let weight = scope.get("weight", [outputs, inputs, kernel, kernel])?;
+        Ok(Self {
+            weight,
+            bias: None,
+            stride,
+            padding: kernel / 2,
+            products: scope.products(),
+            packed: Arc::default(),
+            tiled: Arc::default(),
+        })
+    }
+
+    /// Applies the convolution. `[B, in, H, W] -> [B, out, H', W']`
+    #[must_use]
+    pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
+        if self.has_kernel(&input) {
+            self.by_kernel(&input, false, After::Nothing, None)
+        } else {
+            self.plain(input)
+        }
+    }
+
+    /// relu(conv(relu(x))).
+    #[must_use]
+    pub fn forward_rectified(&self, input: Tensor<4>) -> Tensor<4> {
+        if self.has_kernel(&input) {
+            self.by_kernel(&input, true, After::Relu, None)
+        } else {
+            relu(self.plain(relu(input)))
+        }
+    }
+
+    /// conv(x) + relu(r), for a convolution that keeps the size.
+    #[must_use]
+    pub fn forward_onto(&self, input: Tensor<4>, residual: Tensor<4>) -> Tensor<4> {
+        if self.has_kernel(&input) && host::usable(&residual) {
+            host::with_values(&residual, |residual| {
+                self.by_kernel(&input, false, After::Nothing, Some(residual))
+            })
+        } else {
+            self.plain(input) + relu(residual)
+        }
+    }
+
+    fn plain(&self, input: Tensor<4>) -> Tensor<4> {
+        let [outputs, inputs, size, _] = self.weight.dims();
+        if size == 1 && self.stride == 1 {
+            return self.pointwise(input, outputs, inputs);
+        }
+        if size == 3 && self.stride == 1 && differentiable::usable(&input) && differentiable::usable(&self.weight) {
+            let bias = self
+                .bias
+                .clone()
+                .unwrap_or_else(|| Tensor::zeros([outputs], &input.device()));
+            return differentiable::convolve(input, self.weight.clone(), bias, self.products);
+        }
+        let options = ConvOptions::new([self.stride; 2], [self.padding; 2], [1, 1], 1);
+        module::conv2d(input, self.weight.clone(), self.bias.clone(), options)
+    }
+
+    /// A 1x1 convolution is a matrix product.
+    fn pointwise(&self, input: Tensor<4>, outputs: usize, inputs: usize) -> Tensor<4> {
+        let [images, _, height, width] = input.dims();
+        let weight = self.weight.clone().reshape([1, outputs, inputs]);
+        let product = weight.matmul(input.reshape([images, inputs, height * width]));
+        let product = match &self.bias {
+            Some(bias) => product + bias.clone().reshape([1, outputs, 1]),
+            None => product,
+        };
+        product.reshape([images, outputs, height, width])
+    }
+
+    /// Whether this convolution on this input has a kernel.
+    fn has_kernel(&self, input: &Tensor<4>) -> bool {
+        self.weight.dims()[2] == 3 && self.stride == 1 && host::usable(input) && host::usable(&self.weight)
+    }
+
+    /// Runs the kernel: by Winograd's algorithm where that pays, else directly.
+    fn by_kernel(&self, input: &Tensor<4>, rectify: bool, after: After, residual: Option<&[f32]>) -> Tensor<4> {
+        let [images, inputs, height, width] = input.dims();
+        let (size, outputs) = ([height, width], self.weight.dims()[0]);
+        let bias = || self.host_bias();
+        let tiled = || {
+            let is_wide = inputs >= WIDE && outputs >= WIDE;
+            let new = |weight: &[f32]| Winograd::new(weight, &bias(), inputs, outputs, TileSize::Two);
+            is_wide.then(|| host::with_values(&self.weight, new))
+        };
+        let direct = || {
+            let new = |weight: &[f32]| Conv3x3::new(weight, &bias(), outputs, inputs, Precision::F32);
+            host::with_values(&self.weight, new)
+        };
+        let tiled = Winograd::fits(size)
+            .then(|| self.tiled.get_or_init(tiled).as_ref())
+            .flatten();
+        let values = host::with_values(input, |input| match tiled {
+            Some(conv) => conv.run(input, size, rectify, after, residual),
+            None => self
+                .packed
+                .get_or_init(direct)
+                .run(input, size, rectify, after, residual),
+        });
+        from_host(values, [images, outputs, height, width], &input.device())
+    }
+
+    /// The bias on the host, zeros where there is none.
+    pub(super) fn host_bias(&self) -> Vec<f32> {
+        let zeros = || vec![0.0; self.weight.dims()[0]];
+        self.bias.as_ref().map_or_else(zeros, host::values)
+    }
+}
