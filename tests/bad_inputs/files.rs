@@ -65,7 +65,6 @@ fn containers_and_weights() {
             )),
         ),
         ("outside", bytes(&tensor("").replace("[0,8]", "[8000,8008]"))),
-        ("kind", bytes(&tensor("").replace("F32", "I64").replace("[2]", "[1]"))),
         ("shape", bytes(&tensor("").replace("[2]", "[4611686018427387904,4]"))),
         ("text", b"no weights".to_vec()),
     ] {

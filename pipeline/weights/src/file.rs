@@ -71,7 +71,7 @@ impl TensorFile {
     pub fn len(&self) -> usize {
         self.tensors
             .values()
-            .map(|entry| entry.bytes / entry.element.bytes())
+            .map(|entry| entry.shape.iter().product::<usize>())
             .sum()
     }
 
@@ -99,7 +99,11 @@ impl ParameterSource for TensorFile {
             .get(name)
             .ok_or_else(|| Error::MissingTensor { name: name.to_owned() })?;
         let start = self.data_start + entry.start;
-        Ok(entry.element.widen(&self.map[start..start + entry.bytes]))
+        let bytes = &self.map[start..start + entry.bytes];
+        entry.stored.to_f32(bytes).map_err(|reason| Error::BadFile {
+            path: self.path.clone(),
+            reason: format!("the tensor `{name}` {reason}"),
+        })
     }
 
     fn names(&self) -> Vec<&str> {

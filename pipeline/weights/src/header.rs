@@ -74,11 +74,58 @@ impl ElementType {
     }
 }
 
+/// How the numbers of a tensor in a file of somebody are stored.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum StoredType {
+    /// A type that files are written in.
+    Written(ElementType),
+    /// 64-bit float.
+    F64,
+    /// Another, by its name: values cannot be read.
+    Other(String),
+}
+
+impl StoredType {
+    /// The type of a name in a safetensors header.
+    fn of(name: &str) -> Self {
+        match name {
+            "F32" => Self::Written(ElementType::F32),
+            "BF16" => Self::Written(ElementType::BF16),
+            "F16" => Self::Written(ElementType::F16),
+            "F64" => Self::F64,
+            other => Self::Other(other.to_owned()),
+        }
+    }
+
+    /// Bytes of a number, where they are known.
+    fn bytes(&self) -> Option<usize> {
+        match self {
+            Self::Written(element) => Some(element.bytes()),
+            Self::F64 => Some(8),
+            Self::Other(_) => None,
+        }
+    }
+
+    /// Makes f32 of little-endian bytes; says why where the numbers are none.
+    pub(crate) fn to_f32(&self, bytes: &[u8]) -> Result<Vec<f32>, String> {
+        match self {
+            Self::Written(element) => Ok(element.widen(bytes)),
+            Self::F64 => {
+                let (numbers, _) = bytes.as_chunks::<8>();
+                Ok(numbers.iter().map(|&bytes| f64::from_le_bytes(bytes) as f32).collect())
+            }
+            Self::Other(name) => Err(format!(
+                "has numbers of type {name}; F64, F32, BF16 and F16 are supported"
+            )),
+        }
+    }
+}
+
 /// Where a tensor lies in its file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TensorEntry {
     /// How its numbers are stored.
-    pub element: ElementType,
+    pub stored: StoredType,
     /// Shape.
     pub shape: Vec<usize>,
     /// First byte, from the end of the header.
@@ -131,12 +178,7 @@ fn refuse_overlap(tensors: &BTreeMap<String, TensorEntry>) -> Result<(), String>
 }
 
 fn entry(raw: &RawEntry, data_bytes: usize) -> Result<TensorEntry, String> {
-    let element = match raw.dtype.as_str() {
-        "F32" => ElementType::F32,
-        "BF16" => ElementType::BF16,
-        "F16" => ElementType::F16,
-        other => return Err(format!("has numbers of type {other}; F32, BF16 and F16 are supported")),
-    };
+    let stored = StoredType::of(&raw.dtype);
     if raw.shape.len() > MAX_RANK {
         return Err(format!("has {} axes", raw.shape.len()));
     }
@@ -146,17 +188,22 @@ fn entry(raw: &RawEntry, data_bytes: usize) -> Result<TensorEntry, String> {
         .map(|&size| usize::try_from(size).unwrap_or(usize::MAX))
         .collect();
     let count = shape.iter().try_fold(1usize, |count, &size| count.checked_mul(size));
-    let bytes = count.and_then(|count| count.checked_mul(element.bytes()));
+    let known = |size| count.and_then(|count| count.checked_mul(size));
     let [start, end] = raw
         .data_offsets
         .map(|offset| usize::try_from(offset).unwrap_or(usize::MAX));
-    if end > data_bytes || start > end || bytes != Some(end - start) {
+    let fits = |bytes: usize| match stored.bytes() {
+        Some(size) => known(size) == Some(bytes),
+        // Counters and the like, which nobody reads: that they lie in the file is enough.
+        None => count.is_some(),
+    };
+    if end > data_bytes || start > end || !fits(end - start) {
         return Err(format!(
             "claims bytes {start} to {end} for shape {shape:?}, which does not fit the file"
         ));
     }
     Ok(TensorEntry {
-        element,
+        stored,
         shape,
         start,
         bytes: end - start,

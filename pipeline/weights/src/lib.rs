@@ -19,7 +19,7 @@ mod write;
 pub use average::average;
 pub use error::{Error, Result};
 pub use file::TensorFile;
-pub use header::{ElementType, TensorEntry};
+pub use header::{ElementType, StoredType, TensorEntry};
 pub use open::{EXTENSIONS, is_weights_file, open_any};
 pub use renamed::Renamed;
 pub use verify::{Verification, verify};

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use burn::store::pytorch_reader::{DType, PytorchReader, Tensor};
 
-use crate::{ElementType, Error, ParameterSource, Result};
+use crate::{ElementType, Error, ParameterSource, Result, StoredType};
 
 /// A PyTorch checkpoint; tensors are read when asked for.
 pub(crate) struct PytorchFile {
@@ -44,25 +44,22 @@ impl ParameterSource for PytorchFile {
             .tensors
             .get(name)
             .ok_or_else(|| Error::MissingTensor { name: name.to_owned() })?;
-        let element = match tensor.dtype() {
-            DType::F32 => ElementType::F32,
-            DType::BF16 => ElementType::BF16,
-            DType::F16 => ElementType::F16,
-            other => {
-                let reason =
-                    format!("the tensor `{name}` has numbers of type {other:?}; f32, bf16 and f16 are supported");
-                return Err(Error::BadFile {
-                    path: self.path.clone(),
-                    reason,
-                });
-            }
+        let stored = match tensor.dtype() {
+            DType::F32 => StoredType::Written(ElementType::F32),
+            DType::BF16 => StoredType::Written(ElementType::BF16),
+            DType::F16 => StoredType::Written(ElementType::F16),
+            DType::F64 => StoredType::F64,
+            other => StoredType::Other(format!("{other:?}")),
         };
         let bytes = tensor.read().map_err(|source| Error::Io {
             path: self.path.clone(),
             source,
         })?;
         // The reader hands numbers over in this machine's byte order, which every supported machine has little-endian.
-        Ok(element.widen(&bytes))
+        stored.to_f32(&bytes).map_err(|reason| Error::BadFile {
+            path: self.path.clone(),
+            reason: format!("the tensor `{name}` {reason}"),
+        })
     }
 
     fn names(&self) -> Vec<&str> {

@@ -44,7 +44,7 @@ pub struct Refine {
 impl Stage for Refine {
     const NAME: &'static str = "refine";
     const SUMMARY: &'static str = "Stage 2: correct the field by rendering feedback, keeping all displacements";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const OUTPUT: SchemaId = Refinement::SCHEMA;
     type Params = RefineParams;
 

@@ -22,7 +22,9 @@ pub(crate) struct Golden {
 
 /// Where a golden file lies: with the crate when it is small, else with the reference data.
 fn find(file: &str) -> PathBuf {
-    let small = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(file);
+    let small = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/golden")
+        .join(file);
     match small.is_file() {
         true => small,
         false => shared!("golden/stage2").join(file),
