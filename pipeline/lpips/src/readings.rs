@@ -37,14 +37,7 @@ pub(super) fn normalised(maps: &Maps) -> Vec<f32> {
 /// Mean over pixels of the weighted squared difference of a layer's features, divided by their length here, from kept
 /// ones.
 pub(super) fn distance_of(maps: &Maps, kept: &[f32], head: &[f32]) -> f64 {
-    distance(
-        maps.values(),
-        kept,
-        maps.width,
-        head,
-        #[inline(always)]
-        |values| inverse_length(values),
-    )
+    distance(maps.values(), kept, maps.width, head, inverse_length)
 }
 
 /// The same of two kept layers, rows of `width` pixels.
