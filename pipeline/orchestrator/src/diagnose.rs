@@ -205,7 +205,7 @@ mod tests {
         assert_eq!(at(variant(1)), "m.toml:6:1: wrong");
         assert_eq!(
             at(At::key("robot").then("list").item(1).then("y")),
-            "m.toml:10:21: wrong"
+            "m.toml:10:22: wrong"
         );
         assert_eq!(at(At::key("gone")), "m.toml: wrong");
     }
