@@ -1,7 +1,7 @@
 //! Tiles of bfloat16 pairs with f32 sums.
 //!
 //! A sum takes the products of a pair one after the other, the second first, each with one rounding. That is what the
-//! processor's instruction does, so processors without it give the same bits from the portable code, only slower; except
+//! CPU's instruction does, so those without it give the same bits from the portable code, only slower; except
 //! below 1.2e-38, which the instruction takes for zero.
 
 use super::tile::{COLUMNS, Line};
@@ -50,7 +50,7 @@ pub(crate) fn pack_two(first: &[f32], second: &[f32], out: &mut [u32]) {
     );
 }
 
-/// Whether this processor has the instruction that [`tile`] and its like are made of.
+/// Whether this CPU has the instruction that [`tile`] and its like are made of.
 #[cfg(target_arch = "x86_64")]
 pub(crate) fn is_available() -> bool {
     std::arch::is_x86_feature_detected!("avx512bf16") && std::arch::is_x86_feature_detected!("avx512f")
@@ -101,7 +101,7 @@ pub(crate) fn product(values: &[Line], stride: usize, weights: &[Line], sums: &m
     portable_product(values, stride, weights, sums);
 }
 
-/// The same in code for any processor.
+/// The same in code for any CPU.
 fn portable_product(values: &[Line], stride: usize, weights: &[Line], sums: &mut [Line]) {
     vectorised(
         #[inline(always)]

@@ -11,7 +11,7 @@ pub enum Precision {
     /// f32 throughout.
     #[default]
     F32,
-    /// Operands rounded to bfloat16, sums in f32: faster on processors with AVX512_BF16, the same bits on others. Only
+    /// Operands rounded to bfloat16, sums in f32: faster on CPUs with AVX512_BF16, the same bits on others. Only
     /// without gradients on the CPU; elsewhere this is as [`Self::F32`].
     Bf16,
 }

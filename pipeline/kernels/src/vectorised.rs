@@ -2,7 +2,7 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-/// Runs a closure whose loops the compiler may turn into the widest vectors of this processor. Mark the closure
+/// Runs a closure whose loops the compiler may turn into the widest vectors of this CPU. Mark the closure
 /// `#[inline(always)]`, and what it calls.
 pub fn vectorised(work: impl FnMut()) {
     Arch::new().dispatch(Vectorised(work));
@@ -15,7 +15,7 @@ impl<F: FnMut()> WithSimd for Vectorised<F> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, _: S) {
-        // Called as `FnMut`: as `FnOnce` the compiler puts a shim between, which is compiled for the oldest processor and
+        // Called as `FnMut`: as `FnOnce` the compiler puts a shim between, which is compiled for the oldest CPU and
         // takes the closure's body with it.
         (self.0)();
     }

@@ -1,8 +1,8 @@
-//! Where networks run: on the processor, or (feature `gpu`) on a graphics processor through burn's wgpu backend.
+//! Where networks run: on the CPU, or (feature `gpu`) on a GPU through burn's wgpu backend.
 //!
-//! The kernels of this crate are for the processor. On a graphics processor every part that takes tensors runs through
+//! The kernels of this crate are for the CPU. On a GPU every part that takes tensors runs through
 //! the operations of the framework, in f32, with gradients or without: Stage 1, and the updater of Stage 2. What is made of
-//! host arrays stays on the processor: the similarities of a plane sweep that records no gradients, the error encoder of Stage 2,
+//! host arrays stays on the CPU: the similarities of a plane sweep that records no gradients, the error encoder of Stage 2,
 //! the neighbour search, the pooling of contributions.
 
 use burn::tensor::Device;
@@ -36,7 +36,7 @@ pub fn name(device: &Device) -> &'static str {
     if is_cpu(device) { "cpu" } else { "gpu" }
 }
 
-/// Whether tensors of a device are those of the processor, recording gradients or not.
+/// Whether tensors of a device are those of the CPU, recording gradients or not.
 #[must_use]
 pub fn is_cpu(device: &Device) -> bool {
     *device == Device::flex()
@@ -52,7 +52,7 @@ fn graphics() -> Result<Device> {
 #[cfg(not(feature = "gpu"))]
 fn graphics() -> Result<Device> {
     Err(Error::Device(
-        "this program was built without graphics processors; build it with the feature `gpu`, or choose the device `cpu`"
+        "this program was built without GPU support; build it with the feature `gpu`, or choose the device `cpu`"
             .into(),
     ))
 }

@@ -1,5 +1,5 @@
 //! The sums of a 3x3 convolution on numbers rounded to bfloat16, in pairs of input channels: half the instructions of the
-//! f32 kernel where the processor has AVX512_BF16, the same bits in portable code elsewhere (see [`crate::bf16`]).
+//! f32 kernel where the CPU has AVX512_BF16, the same bits in portable code elsewhere (see [`crate::bf16`]).
 
 use super::band::{Band, TILE};
 use crate::bf16::{multiply_add, pack_two, pair};
@@ -102,7 +102,7 @@ fn tile<const V: usize>(map: &Pairs, weights: &[u32], bias: &[f32], place: usize
     portable_tile(map, weights, bias, place)
 }
 
-/// The same in code for any processor.
+/// The same in code for any CPU.
 fn portable_tile<const V: usize>(map: &Pairs, weights: &[u32], bias: &[f32], place: usize) -> Sums<V> {
     let mut sums: Sums<V> = std::array::from_fn(|output| [[bias[output]; LANES]; V]);
     vectorised(

@@ -1,5 +1,5 @@
 //! The sums of a convolution's weight gradient on numbers rounded to bfloat16: pairs of neighbouring pixels, half the
-//! instructions of the f32 kernel where the processor has AVX512_BF16, the same bits in portable code elsewhere.
+//! instructions of the f32 kernel where the CPU has AVX512_BF16, the same bits in portable code elsewhere.
 
 use super::weight_tile::{INPUTS, OUTPUTS, SIDE, Sums, Tile};
 use crate::bf16::{multiply_add_each, rounded};
@@ -31,7 +31,7 @@ fn lane_sums(tile: &Tile<'_, u16>) -> LaneSums {
     portable_lane_sums(tile)
 }
 
-/// The same in code for any processor.
+/// The same in code for any CPU.
 fn portable_lane_sums(tile: &Tile<'_, u16>) -> LaneSums {
     let [height, width] = tile.size;
     let mut sums: LaneSums = [[[[0.0; LANES]; SIDE]; INPUTS]; OUTPUTS];

@@ -1,4 +1,4 @@
-//! 3x3 convolution with stride 1 and zero padding by Winograd's minimal filtering of tiles.
+//! 3x3 convolution with stride 1 and zero padding by Winograd's algorithm, tile by tile.
 //!
 //! Inputs of a tile are transformed (each channel by itself), meet the transformed weights in one matrix product over the
 //! channels for each point of the transform, and are transformed back. A window of tiles is worked on at a time, so that

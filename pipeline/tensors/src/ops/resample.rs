@@ -25,7 +25,7 @@ pub fn resize(input: Tensor<4>, [height, width]: [usize; 2]) -> Tensor<4> {
     module::interpolate(input, options.with_output_size([height, width]))
 }
 
-/// The same as products with constant matrices: the framework has no gradient of its own resampling on graphics processors.
+/// The same as products with constant matrices: the framework has no gradient of its own resampling on GPUs.
 fn by_products(input: Tensor<4>, [height, width]: [usize; 2]) -> Tensor<4> {
     let ([images, channels, rows, columns], device) = (input.dims(), input.device());
     let matrix = |inputs: usize, outputs: usize| -> Tensor<3> {
