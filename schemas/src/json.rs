@@ -8,6 +8,7 @@ use serde_json::Value;
 /// # Panics
 /// Never for the parameter types of the stages, which are plain structs.
 #[must_use]
+#[expect(clippy::expect_used, reason = "plain structs always become JSON")]
 pub fn canonical_json<T: Serialize>(value: &T) -> String {
     // `serde_json::Value` keeps object keys sorted (the `preserve_order` feature is off).
     let value = serde_json::to_value(value).expect("parameters are plain data");

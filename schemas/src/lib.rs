@@ -3,6 +3,7 @@
 
 pub mod episode;
 pub mod error;
+mod identity;
 pub mod ids;
 pub mod json;
 pub mod key;
@@ -19,8 +20,9 @@ pub mod units;
 pub use rogs_files as atomic;
 
 pub use error::{Error, Result};
+pub use identity::{FileInfo, SchemaId};
 pub use ids::{CameraIndex, ClipId, FrameIndex};
 pub use json::{canonical_json, overlay};
 pub use key::{CacheKey, ContentHash, KeyMaterial, Provenance};
 pub use pose::{Intrinsics, RigidPose};
-pub use record::{FileInfo, Record, SchemaId, read_record, write_record};
+pub use record::{Record, read_record, write_record};

@@ -3,25 +3,9 @@
 use std::path::Path;
 
 use crate::error::Result;
-use crate::key::{ContentHash, Provenance};
+use crate::identity::{FileInfo, SchemaId};
+use crate::key::Provenance;
 use crate::r4c::{Reader, Writer};
-
-/// Name and version of a record schema.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct SchemaId {
-    /// Name, for example `rogs.clip`.
-    pub name: &'static str,
-    /// Breaking version.
-    pub major: u16,
-    /// Additive version.
-    pub minor: u16,
-}
-
-impl std::fmt::Display for SchemaId {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} {}.{}", self.name, self.major, self.minor)
-    }
-}
 
 /// A type that lies on disk as one container file.
 pub trait Record: Sized {
@@ -39,15 +23,6 @@ pub trait Record: Sized {
     /// # Errors
     /// When a stream is missing, damaged, or contradicts the others.
     fn decode(reader: &Reader) -> Result<Self>;
-}
-
-/// What a file says besides its record.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct FileInfo {
-    /// How it was made.
-    pub provenance: Provenance,
-    /// Hash of its decoded content.
-    pub content: ContentHash,
 }
 
 /// Writes a record beside its place, flushes it to disk and renames it, so that no reader meets half a file.

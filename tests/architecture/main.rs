@@ -1,4 +1,13 @@
 //! The invariants of ARCHITECTURE.md that can be read off the source tree.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    clippy::too_many_lines
+)]
+
+mod circles;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -75,9 +84,8 @@ fn dependencies_point_one_way() {
     let is_stage = |name: &str| name.strip_prefix("rogs-").is_some_and(|name| stages.contains(&name));
     let allowed = |name: &str| -> &[&str] {
         match name {
-            "rogs-files" | "rogs-schemas" | "rogs-arrays" | "rogs-random" | "rogs-pages" | "rogs-kernels" | "rogs-weights" => {
-                &[]
-            }
+            "rogs-files" | "rogs-schemas" | "rogs-arrays" | "rogs-random" | "rogs-pages" | "rogs-kernels"
+            | "rogs-weights" => &[],
             "rogs-geometry" | "rogs-worker" => &["rogs-schemas"],
             "rogs-robot" | "rogs-splat" => &["rogs-schemas", "rogs-geometry"],
             "rogs-field" => &["rogs-schemas", "rogs-geometry", "rogs-splat"],
@@ -203,4 +211,23 @@ fn only_units_knows_the_scale() {
             );
         }
     }
+}
+
+#[test]
+fn files_do_not_import_each_other_in_circles() {
+    let mut folders = vec![root().join("schemas/src")];
+    for group in ["pipeline", "stages", "tools"] {
+        let crates = std::fs::read_dir(root().join(group)).unwrap();
+        folders.extend(
+            crates
+                .map(|entry| entry.unwrap().path().join("src"))
+                .filter(|src| src.is_dir()),
+        );
+    }
+    let circles = folders.iter().flat_map(|src| {
+        let own = circles::Crate::read(src).circles().into_iter();
+        own.map(move |files| format!("{}: {}", src.display(), files.join(", ")))
+    });
+    let circles: Vec<String> = circles.collect();
+    assert!(circles.is_empty(), "circles:\n{}", circles.join("\n"));
 }

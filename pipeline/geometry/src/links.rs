@@ -22,7 +22,11 @@ impl LinkPoses {
     pub fn at_frame(robot: &RobotMaps, frame: u32) -> Result<Self> {
         let recon_from_base: Pose<Recon, Base> = Pose::from_rigid(&robot.recon_from_base)?;
         let in_recon = |stored| Ok(recon_from_base * Pose::<Base, Link>::from_rigid(stored)?);
-        stored(robot, frame as usize)?.iter().map(in_recon).collect::<Result<_>>().map(Self)
+        stored(robot, frame as usize)?
+            .iter()
+            .map(in_recon)
+            .collect::<Result<_>>()
+            .map(Self)
     }
 
     /// The poses at a place between clip frames, counted in frames: translations are interpolated linearly, rotations on
@@ -33,7 +37,9 @@ impl LinkPoses {
     pub fn between_frames(robot: &RobotMaps, position: f64) -> Result<Self> {
         let recon_from_base: Pose<Recon, Base> = Pose::from_rigid(&robot.recon_from_base)?;
         let (before, after) = (position.floor(), position.ceil());
-        let ends = stored(robot, before as usize)?.iter().zip(stored(robot, after as usize)?);
+        let ends = stored(robot, before as usize)?
+            .iter()
+            .zip(stored(robot, after as usize)?);
         ends.map(|(a, b)| Ok(recon_from_base * interpolated(a, b, position - before)?))
             .collect::<Result<_>>()
             .map(Self)

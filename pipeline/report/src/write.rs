@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use rogs_files::write_bytes;
 use rogs_orchestrator::manifest::Manifest;
 use rogs_orchestrator::{Error, Result};
-use rogs_files::write_bytes;
 use rogs_score::tables::{Table, TableId, TableOptions};
 
 use crate::forms::Form;

@@ -1,6 +1,12 @@
 //! Readers of robots and meshes on random and damaged files: no panic, bounded memory, always a message.
 //! More cases with `PROPTEST_CASES=100000`.
-
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    clippy::too_many_lines
+)]
 #![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 
 use std::alloc::{GlobalAlloc, Layout, System};

@@ -19,7 +19,7 @@ fn main() -> ExitCode {
     let arguments: Vec<OsString> = std::env::args_os().collect();
     if arguments.get(1).is_some_and(|word| word == "stage") {
         let Some(name) = arguments.get(2).and_then(|name| name.to_str()) else {
-            eprintln!("usage: rogs stage NAME one|worker|describe ...");
+            rogs_worker::message!("usage: rogs stage NAME one|worker|describe ...");
             return ExitCode::from(2);
         };
         return stages::run(name, arguments[3..].to_vec());

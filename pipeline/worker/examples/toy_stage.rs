@@ -1,5 +1,11 @@
 //! The smallest stage: copies the text of its source into a scores record. The tests of this crate run it.
-
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    clippy::too_many_lines
+)]
 #![allow(clippy::disallowed_methods, reason = "files of examples may be left half-written")]
 
 use std::collections::BTreeMap;
@@ -9,7 +15,7 @@ use std::time::Duration;
 
 use rogs_schemas::ClipId;
 use rogs_schemas::protocol::InputDescription;
-use rogs_schemas::record::{Record, SchemaId};
+use rogs_schemas::{Record, SchemaId};
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
 use rogs_worker::{Context, Stage, StageError, StageResult, stage_main};
 use schemars::JsonSchema;

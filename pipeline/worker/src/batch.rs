@@ -60,7 +60,7 @@ pub(crate) fn batch<S: Stage>(arguments: &BatchArguments) -> StageResult<ExitCod
         }
         if let Some(missing) = missing_input::<S>(unit) {
             counts.blocked += 1;
-            eprintln!(
+            crate::message!(
                 "{} {}: blocked: its input {missing} is missing",
                 unit.job.clip_id,
                 S::NAME
@@ -77,7 +77,7 @@ pub(crate) fn batch<S: Stage>(arguments: &BatchArguments) -> StageResult<ExitCod
         temporary,
     } = counts;
     let name = S::NAME;
-    eprintln!("{name} shard {shard}: {made} made, {up_to_date} up to date, {failed} failed, {blocked} blocked");
+    crate::message!("{name} shard {shard}: {made} made, {up_to_date} up to date, {failed} failed, {blocked} blocked");
     Ok(ExitCode::from(match (temporary, failed + blocked) {
         (0, 0) => EXIT_OK,
         (0, _) if arguments.keep_going => EXIT_OK,
@@ -111,7 +111,7 @@ fn run_unit<S: Stage>(runner: &mut Runner<S>, unit: &PlannedUnit, counts: &mut C
     match result {
         Ok(report) => {
             counts.made += 1;
-            eprintln!("{} {}: done", job.clip_id, S::NAME);
+            crate::message!("{} {}: done", job.clip_id, S::NAME);
             (attempt.seconds, attempt.warnings) = (report.seconds, report.warnings);
         }
         Err(StageError { code, message, hint }) => {
@@ -122,9 +122,9 @@ fn run_unit<S: Stage>(runner: &mut Runner<S>, unit: &PlannedUnit, counts: &mut C
             } else {
                 &mut counts.failed
             }) += 1;
-            eprintln!("{} {}: failed: {message}", job.clip_id, S::NAME);
+            crate::message!("{} {}: failed: {message}", job.clip_id, S::NAME);
             if let Some(hint) = &hint {
-                eprintln!("  hint: {hint}");
+                crate::message!("  hint: {hint}");
             }
             attempt.outcome = Outcome::Failed;
             attempt.output_bytes = 0;
@@ -134,7 +134,7 @@ fn run_unit<S: Stage>(runner: &mut Runner<S>, unit: &PlannedUnit, counts: &mut C
     for file in ledger::files_of(&unit.run, &attempt) {
         // Records are for people; the output counts without them.
         if let Err(error) = ledger::append(&file, &attempt) {
-            eprintln!("warning: {error}");
+            crate::message!("warning: {error}");
         }
     }
 }

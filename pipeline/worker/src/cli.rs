@@ -83,7 +83,7 @@ fn dispatch<S: Stage>(matches: &ArgMatches) -> StageResult<ExitCode> {
             let description = describe::<S>(&params_of(matches)?)?;
             let text = serde_json::to_string_pretty(&description)
                 .map_err(|error| StageError::internal(format!("the description is not JSON: {error}")))?;
-            println!("{text}");
+            crate::answer!("{text}");
             Ok(ExitCode::from(EXIT_OK))
         }
         _ => Err(StageError::bad_params("no such command")),

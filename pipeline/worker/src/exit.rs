@@ -13,8 +13,8 @@ pub const EXIT_TEMPORARY: u8 = 75;
 
 /// Prints a failure as a person should see it.
 pub(crate) fn print_error(error: &StageError) {
-    eprintln!("error: {error}");
+    crate::message!("error: {error}");
     if let Some(hint) = &error.hint {
-        eprintln!("hint: {hint}");
+        crate::message!("hint: {hint}");
     }
 }

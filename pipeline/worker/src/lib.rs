@@ -15,6 +15,7 @@
 
 mod batch;
 mod cli;
+pub mod console;
 mod context;
 mod describe;
 mod error;

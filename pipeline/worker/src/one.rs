@@ -105,18 +105,18 @@ fn job_of<S: Stage>(arguments: &OneArguments) -> StageResult<Job> {
 
 fn tell(output: &Path, report: &Report) {
     for warning in &report.warnings {
-        eprintln!("warning: {warning}");
+        crate::message!("warning: {warning}");
     }
     let seconds = report.seconds.get("total").copied().unwrap_or_default();
     let mebibytes = sys::peak_rss_bytes() >> 20;
-    eprintln!(
+    crate::message!(
         "wrote {} in {seconds:.2} s, peak memory {mebibytes} MiB",
         output.display()
     );
     let phases = report.seconds.iter().filter(|(name, _)| *name != "total");
     let phases: Vec<_> = phases.map(|(name, seconds)| format!("{name} {seconds:.2} s")).collect();
     if !phases.is_empty() {
-        eprintln!("  {}", phases.join(", "));
+        crate::message!("  {}", phases.join(", "));
     }
 }
 
@@ -152,17 +152,17 @@ impl ProgressLine {
         self.last = Some(Instant::now());
         let percent = 100.0 * fraction.clamp(0.0, 1.0);
         if self.terminal {
-            eprint!("\r\x1b[K{} {percent:3.0} % {message}", self.stage);
+            crate::console::print_progress(format_args!("\r\x1b[K{} {percent:3.0} % {message}", self.stage));
             let _ = std::io::stderr().flush();
             self.shown = true;
         } else {
-            eprintln!("{} {percent:3.0} % {message}", self.stage);
+            crate::message!("{} {percent:3.0} % {message}", self.stage);
         }
     }
 
     fn clear(&mut self) {
         if self.shown {
-            eprint!("\r\x1b[K");
+            crate::console::print_progress(format_args!("\r\x1b[K"));
         }
     }
 }

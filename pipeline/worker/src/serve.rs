@@ -69,7 +69,7 @@ pub(crate) fn serve<S: Stage>(grace: Duration) -> ExitCode {
     let (events, termination) = match set_up {
         Ok(set_up) => set_up,
         Err(error) => {
-            eprintln!("error: cannot set up the worker: {error}");
+            crate::message!("error: cannot set up the worker: {error}");
             return ExitCode::from(EXIT_USAGE);
         }
     };
@@ -91,7 +91,7 @@ pub(crate) fn serve<S: Stage>(grace: Duration) -> ExitCode {
             Ok(0) => return ExitCode::from(EXIT_OK),
             Ok(_) => {}
             Err(error) => {
-                eprintln!("error: cannot read jobs: {error}");
+                crate::message!("error: cannot read jobs: {error}");
                 return ExitCode::from(EXIT_TEMPORARY);
             }
         }
@@ -105,7 +105,7 @@ pub(crate) fn serve<S: Stage>(grace: Duration) -> ExitCode {
         let job: Job = match serde_json::from_slice(&line) {
             Ok(job) => job,
             Err(error) => {
-                eprintln!("error: a line on stdin is not a job: {error}");
+                crate::message!("error: a line on stdin is not a job: {error}");
                 return ExitCode::from(EXIT_USAGE);
             }
         };

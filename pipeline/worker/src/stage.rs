@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use rogs_schemas::SchemaId;
 use rogs_schemas::protocol::InputDescription;
-use rogs_schemas::record::SchemaId;
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde::de::DeserializeOwned;

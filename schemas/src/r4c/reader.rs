@@ -19,8 +19,8 @@ use super::{CONTAINER_VERSION, FEATURE_PLANES, META_CONTENT, META_PROVENANCE, co
 use rogs_files::fault_injection::{self, Operation};
 
 use crate::error::{Error, Result};
+use crate::identity::{FileInfo, SchemaId};
 use crate::key::{CacheKey, ContentHash, Provenance};
-use crate::record::{FileInfo, SchemaId};
 
 /// What a reader is willing to meet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

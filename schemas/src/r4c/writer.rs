@@ -15,9 +15,9 @@ use super::layout::{
 use super::stream::{Codec, Dtype, Element, Frame, StreamInfo, StreamSpec, Unit};
 use super::{CONTAINER_VERSION, FEATURE_PLANES, META_CONTENT, META_PROVENANCE, codec};
 use crate::error::{Error, Result};
+use crate::identity::SchemaId;
 use crate::json::canonical_json;
 use crate::key::{CacheKey, ContentHash, Provenance};
-use crate::record::SchemaId;
 
 /// The schema block.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, serde::Deserialize)]

@@ -6,11 +6,12 @@ use super::arrays_io::{self, ArrayHead};
 use super::check::{Check, area, binary, count, ensure, pose, product};
 use super::clip::SourceView;
 use super::field::{Field, GATE_ATTRIBUTES, GATE_OPACITY, RAW_CHANNELS, TimeSlice, WeightsInfo};
-use crate::ids::ClipId;
 use crate::error::Result;
+use crate::ids::ClipId;
 use crate::pose::RigidPose;
 use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
-use crate::record::{Record, SchemaId};
+use crate::identity::SchemaId;
+use crate::record::Record;
 
 const POSITION: StreamSpec = floats("position_m", Unit::Metre, Frame::Recon, "");
 const BASE_RAW: StreamSpec = floats("base_raw", Unit::One, Frame::None, "");

@@ -1,8 +1,8 @@
 //! From a described episode to a clip: choose frames, decode, resize.
 
 use rayon::prelude::*;
-use rogs_schemas::{ClipId, RigidPose};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Tracks};
+use rogs_schemas::{ClipId, RigidPose};
 use rogs_worker::{StageError, StageResult};
 
 use crate::params::{Params, QueryChoice, QueryPlanName};

@@ -27,7 +27,7 @@ use std::path::{Path, PathBuf};
 
 use rogs_schemas::ClipId;
 use rogs_schemas::protocol::InputDescription;
-use rogs_schemas::record::{Record, SchemaId};
+use rogs_schemas::{Record, SchemaId};
 use rogs_schemas::records::clip::Clip;
 use rogs_worker::{Context, Stage, StageError, StageResult};
 
@@ -99,12 +99,12 @@ pub fn list_main(arguments: &[std::ffi::OsString]) -> Option<std::process::ExitC
     let json = rest.iter().any(|argument| argument == "--json");
     let roots: Vec<&std::ffi::OsString> = rest.iter().filter(|argument| *argument != "--json").collect();
     let [root] = roots[..] else {
-        eprintln!("usage: rogs-ingest list ROOT [--json]");
+        rogs_worker::message!("usage: rogs-ingest list ROOT [--json]");
         return Some(ExitCode::from(2));
     };
     Some(match list_episodes(Path::new(root)) {
         Ok(episodes) if json => {
-            println!("{}", serde_json::json!(episodes));
+            rogs_worker::answer!("{}", serde_json::json!(episodes));
             ExitCode::SUCCESS
         }
         Ok(episodes) => {
@@ -116,13 +116,13 @@ pub fn list_main(arguments: &[std::ffi::OsString]) -> Option<std::process::ExitC
                 ..
             } in episodes
             {
-                println!("{episode_id}\t{layout}\t{folder}\t{selector}");
+                rogs_worker::answer!("{episode_id}\t{layout}\t{folder}\t{selector}");
             }
             ExitCode::SUCCESS
         }
         Err(error) => {
-            eprintln!("error: {error}");
-            error.hint.iter().for_each(|hint| eprintln!("hint: {hint}"));
+            rogs_worker::message!("error: {error}");
+            error.hint.iter().for_each(|hint| rogs_worker::message!("hint: {hint}"));
             ExitCode::FAILURE
         }
     })

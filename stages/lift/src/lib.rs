@@ -23,7 +23,7 @@ pub use model::{COMPACT_WEIGHTS, Model, load_model};
 pub use params::{CrossCamera, LiftParams, Numbers, QueryState, RobotMotion, TokenSource};
 pub use query::FieldQuery;
 use rogs_schemas::protocol::InputDescription;
-use rogs_schemas::record::{Record, SchemaId};
+use rogs_schemas::{Record, SchemaId};
 use rogs_schemas::records::clip::{Clip, time_of_frame};
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::field::{Field, NamedArray, TimeSlice};

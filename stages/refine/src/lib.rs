@@ -21,8 +21,8 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use rogs_schemas::Record;
+use rogs_schemas::SchemaId;
 use rogs_schemas::protocol::InputDescription;
-use rogs_schemas::record::SchemaId;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::Refinement;

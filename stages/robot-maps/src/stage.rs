@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use rogs_schemas::protocol::InputDescription;
-use rogs_schemas::record::{Record, SchemaId};
+use rogs_schemas::{Record, SchemaId};
 use rogs_schemas::records::clip::{CameraMount, Clip};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::source::ROBOT_MODEL;

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use rogs_field::TimedField;
 use rogs_geometry::{Base, Pose, Recon};
 use rogs_schemas::protocol::InputDescription;
-use rogs_schemas::record::{Record, SchemaId};
+use rogs_schemas::{Record, SchemaId};
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::{Field, WeightsInfo};
 use rogs_schemas::records::refinement::Refinement;

@@ -1,4 +1,9 @@
 //! `rogs-synth`: writes a dataset of procedural episodes.
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "the program's own file is the one place that prints"
+)]
 
 use std::path::PathBuf;
 use std::process::ExitCode;

@@ -1,4 +1,8 @@
 //! What a person sees on stderr while a run goes on: bars on a terminal, one line a unit elsewhere.
+#![allow(
+    clippy::print_stderr,
+    reason = "the one place that shows progress and warnings of a run"
+)]
 
 use std::io::IsTerminal;
 use std::time::Duration;

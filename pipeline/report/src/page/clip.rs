@@ -164,10 +164,12 @@ const COLUMNS: [(&str, ImageMetric, usize); 6] = [
     ("δ1 %", Delta1, 1),
 ];
 
+/// The metric of a group of images.
+type OfImages = fn(ImageMetric) -> Metric;
+
 /// The scores of one method on the clip.
 fn score_table(method: &str, sheet: &ScoreSheet) -> Markup {
-    let groups: [(&str, bool, fn(ImageMetric) -> Metric); 2] =
-        [("source", true, Metric::Source), ("novel", false, Metric::Novel)];
+    let groups: [(&str, bool, OfImages); 2] = [("source", true, Metric::Source), ("novel", false, Metric::Novel)];
     let images = |source: bool| sheet.images.iter().filter(|image| image.source_view == source).count();
     html! {
         h3 { (method) }

@@ -1,4 +1,5 @@
 //! A small run folder, the same at every making: three clips, several methods, failures of every kind.
+#![allow(clippy::disallowed_methods, reason = "tests write files by hand")]
 
 use std::path::{Path, PathBuf};
 

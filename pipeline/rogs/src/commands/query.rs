@@ -6,11 +6,11 @@ use std::process::ExitCode;
 use anyhow::{Context as _, bail, ensure};
 use rogs_geometry::LinkPoses;
 use rogs_lift::{FieldQuery, LiftParams, MotionOptions, RobotAtTime, load_model};
+use rogs_schemas::read_record;
 use rogs_schemas::records::clip::SourceView;
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::robot::RobotMaps;
-use rogs_schemas::read_record;
 
 use super::render::{ViewArgs, render_field};
 
@@ -108,5 +108,10 @@ fn robot_at(field: &Field, maps: &Path, conditioning: &Path, time: f64) -> anyho
             Some(position_m),
         )))
     };
-    field.views.iter().zip(field.position_m.chunks_exact(points)).map(view).collect()
+    field
+        .views
+        .iter()
+        .zip(field.position_m.chunks_exact(points))
+        .map(view)
+        .collect()
 }

@@ -102,6 +102,7 @@ impl HostOperation<INPUTS> for Call {
         self.render(inputs, true)
     }
 
+    #[expect(clippy::expect_used, reason = "the forward pass accepted the same arguments")]
     fn backward(&self, gradient: &[f32], _: [&[f32]; INPUTS], _: [bool; INPUTS]) -> [Option<Vec<f32>>; INPUTS] {
         let Some(Outcome {
             saved: Some(Saved { gaussians, tapes }),

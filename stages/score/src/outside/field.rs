@@ -209,8 +209,11 @@ fn seconds(frame: u32, fps: f64) -> f32 {
     (f64::from(frame) / fps) as f32
 }
 
+/// What a folder holds, and where its frame stands.
+type Found = (Content, Option<Pose<Base, Left>>);
+
 /// The field in a folder and its own pose, where there is one.
-fn content(folder: &Path) -> Result<Option<(Content, Option<Pose<Base, Left>>)>, OutsideError> {
+fn content(folder: &Path) -> Result<Option<Found>, OutsideError> {
     let mut found = Vec::new();
     for name in ["gaussians", "4dgt", "som"] {
         for ending in ["npz", "safetensors"] {

@@ -119,6 +119,7 @@ impl Default for Robot {
 impl Robot {
     /// Builds the model with all its meshes.
     #[must_use]
+    #[expect(clippy::too_many_lines, reason = "a list of links, joints and sizes")]
     pub fn new() -> Self {
         use Motion::{Arm, Finger, Fixed};
         const H: f64 = std::f64::consts::FRAC_PI_2;

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use rogs_orchestrator::stage::StageId;
 use rogs_schemas::protocol::InputDescription;
-use rogs_schemas::record::{Record, SchemaId};
+use rogs_schemas::{Record, SchemaId};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates};
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps, RobotSpec};

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use rogs_orchestrator::stage::StageId;
 use rogs_schemas::RigidPose;
 use rogs_schemas::protocol::InputDescription;
-use rogs_schemas::record::{Record, SchemaId};
+use rogs_schemas::{Record, SchemaId};
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::field::{Field, RAW_CHANNELS, TimeSlice, WeightsInfo};
