@@ -67,7 +67,7 @@ fn exit_codes_are_those_of_the_table() {
     workspace.write("no.r4c", "not a container");
     ends(&workspace.rogs(&["inspect", "no.r4c"]), 2, "no.r4c");
 
-    // 70: the machine or the installation does not let the program go on.
+    // 70: the machine or the installation does not let the program continue.
     std::fs::create_dir(workspace.path("empty")).unwrap();
     ends(
         &workspace.rogs(&["run", "manifest.toml", "--programs", "empty", "--json"]),
@@ -181,7 +181,7 @@ fn an_interrupted_run_ends_with_75_and_says_how_to_go_on() {
     assert!(units("left") >= 1 && units("made") + units("left") == 3, "{summary:#}");
     assert!(
         said.contains("Resume with: rogs run manifest.toml"),
-        "it says how to go on: {said}"
+        "it says how to resume: {said}"
     );
     let (code, summary) = workspace.rogs_json(&["run", "manifest.toml", "--no-report", "--json"]);
     assert_eq!((code, &summary["clips"]["done"]), (Some(0), &json!(1)), "{summary:#}");

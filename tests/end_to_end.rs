@@ -104,7 +104,7 @@ fn one_corrupt_episode_among_three() {
     folders.retain(|path| path.is_dir());
     folders.sort();
     assert_eq!(folders.len(), 3);
-    // A joint angle that is no number, in row 3 of the middle episode.
+    // A joint angle that is not a number, in row 3 of the middle episode.
     let states = std::fs::read_dir(&folders[1])
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -135,7 +135,7 @@ fn one_corrupt_episode_among_three() {
     assert_eq!(status["clips"]["failed"], 1);
 }
 
-/// Kills the whole process group of a run at ten stages of its progress, goes on, and compares with an undisturbed run.
+/// Kills the whole process group of a run at ten stages of its progress, resumes, and compares with an undisturbed run.
 #[cfg(unix)]
 #[needs(long = "ten kills and resumes with 1 and with 2 threads")]
 #[test]

@@ -3,7 +3,7 @@
 //! `ROGS_PEER_PYTHON=PYTHON cargo bench -p rogs-schemas --bench io` (a Python with numpy, h5py, hdf5plugin, blosc2, zarr,
 //! pyarrow); without it only our own figures are printed. Files lie in `ROGS_BENCH_DIR`, else /dev/shm where there is
 //! one, so that formats are measured and not the disk. The best of several repetitions counts on both sides, in wall time
-//! and in processor time of all threads; the second is what a busy machine can measure.
+//! and in CPU time of all threads; the second is what a busy machine can measure.
 //!
 //! Floors: write 1.5 times and read 1.0 times the best peer, for f32 at a ratio within 2 % of the best peer's.
 #![allow(

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 /// Most bytes of a name.
 const MAX_NAME: usize = 128;
 
-/// A name that is no file name everywhere.
+/// A name that is not a file name everywhere.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("invalid name {name:?}: expected 1 to 128 letters, digits and `. _ + -`, not `.` or `..`")]
 pub struct InvalidName {

@@ -65,7 +65,7 @@ pub enum Event {
         /// Things a person should know that did not stop the job.
         warnings: Vec<String>,
     },
-    /// The job failed; the worker goes on with the next.
+    /// The job failed; the worker continues with the next.
     Failed {
         /// Id of the job.
         job: u64,

@@ -147,7 +147,7 @@ fn impossible_streams_are_refused() {
     let good = spec("good", Dtype::F32, Codec::ShuffleZstd);
     assert!(
         writer.stream(&good, &[4], &chunk).is_err(),
-        "six values are no whole elements of four"
+        "six values are not whole elements of four"
     );
     assert!(
         writer

@@ -41,7 +41,7 @@ fn environments() {
         workspace.outputs("strange") == expected,
         "the environment changed outputs"
     );
-    // A folder whose name is no text: refused in words, or used as it is; never a panic.
+    // A folder whose name is not UTF-8: refused in words, or used as it is; never a panic.
     #[cfg(target_os = "linux")]
     {
         use std::os::unix::ffi::OsStrExt as _;

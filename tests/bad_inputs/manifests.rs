@@ -54,7 +54,7 @@ fn manifests() {
     cases.edited("unknown", Failure("frame_rate", ""), |episode| {
         episode["frame_rate"] = 15.into()
     });
-    // Two ids that are one file on some disks, and one that is no file name: each clip has its own folder.
+    // Two ids that are one file on some disks, and one that is not a file name: each clip has its own folder.
     cases.edited("first", Nothing, |episode| {
         episode["episode_id"] = "LAB+One+12h:00m".into()
     });

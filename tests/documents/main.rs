@@ -324,6 +324,33 @@ fn prose_is_wrapped() {
     assert_none(&wrong, "lines wider than 120 columns");
 }
 
+/// Words that the field does not use, with those that it does.
+const WORDS: [(&str, &str); 6] = [
+    ("graphics processor", "GPU"),
+    ("minimal filtering", "Winograd"),
+    ("comes with the program", "bundled"),
+    ("come with the program", "bundled"),
+    ("` is no ", "invalid … `x`: expected …"),
+    ("}` is no ", "invalid … `{x}`: expected …"),
+];
+
+#[test]
+fn words_are_those_of_the_field() {
+    let mut wrong = Vec::new();
+    for file in files().iter().filter(|file| !file.path.starts_with("tests/documents")) {
+        for (number, line) in file.text.lines().enumerate() {
+            for (word, better) in WORDS.iter().filter(|(word, _)| line.contains(word)) {
+                wrong.push(format!(
+                    "{}:{}: `{word}`: say {better}",
+                    file.path.display(),
+                    number + 1
+                ));
+            }
+        }
+    }
+    assert_none(&wrong, "words that have better ones");
+}
+
 #[test]
 fn citations_are_read_as_people_write_them() {
     let sections = |text: &str| cited(text).join(" ");

@@ -128,7 +128,7 @@ impl Workspace {
 }
 
 fn names(folder: &Path, out: &mut Vec<PathBuf>) {
-    // A folder that is not there yet holds nothing; files may come and go while a run goes on.
+    // A folder that is not there yet holds nothing; files may come and go during a run.
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
         let path = entry.path();
         if path.is_dir() {

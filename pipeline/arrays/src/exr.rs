@@ -43,7 +43,7 @@ impl FlatExr {
     /// Opens a file and checks its header.
     ///
     /// # Errors
-    /// When the file cannot be read, or is no flat image within the bounds.
+    /// When the file cannot be read, or is not a flat image within the bounds.
     pub fn open(path: &Path) -> Result<Self> {
         let io = |error| Error::io(path, error);
         let mut file = File::open(path).map_err(io)?;

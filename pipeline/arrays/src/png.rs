@@ -27,7 +27,7 @@ impl Png {
     /// Opens a file and reads its header.
     ///
     /// # Errors
-    /// When the file cannot be read, is no PNG, or is larger than 8192 pixels a side.
+    /// When the file cannot be read, is not a PNG, or is larger than 8192 pixels a side.
     pub fn open(path: &Path) -> Result<Self> {
         let file = std::fs::File::open(path).map_err(|error| Error::io(path, error))?;
         let mut limits = Limits::default();

@@ -88,7 +88,7 @@ impl Correction {
     }
 
     /// The correction as it is stored: a flag per Gaussian, set where any value is not zero, and the values of the
-    /// flagged ones in index order. A correction of zero is no correction: it renders as Stage 1, bit for bit.
+    /// flagged ones in index order. A correction of zero changes nothing: the field renders as Stage 1, bit for bit.
     #[must_use]
     pub fn to_touched(&self) -> (Vec<u8>, Vec<f32>) {
         let rows = || self.values.par_chunks_exact(RESIDUAL_CHANNELS);

@@ -48,7 +48,7 @@ fn programs() -> Anyhow<StagePrograms> {
     })
 }
 
-/// Prints wall time and processor time of this process, which other work on the machine does not change.
+/// Prints wall time and CPU time of this process, which other work on the machine does not change.
 fn timed<T>(what: &str, act: impl FnOnce() -> T) -> T {
     let (start, processor) = (Instant::now(), processor_seconds());
     let value = act();

@@ -31,7 +31,7 @@ pub fn manifest_schema(programs: &StagePrograms) -> Result<Value> {
         add_stage(&mut definitions, stage, params);
     }
     let reference = |stage: StageId, description: Value| {
-        // Words beside a reference are allowed; the stage's own go on saying what the table is.
+        // Words beside a reference are allowed; the stage's own still say what the table is.
         json!({"$ref": format!("#/$defs/{stage}"), "description": description})
     };
     let mut fill = |place: &str, stages: &[StageId]| {

@@ -5,7 +5,7 @@
 pub fn matches(pattern: &str, text: &str) -> bool {
     let (pattern, text): (Vec<char>, Vec<char>) = (pattern.chars().collect(), text.chars().collect());
     let (mut p, mut t) = (0, 0);
-    // Where to go on after the last star when what follows does not fit.
+    // Where to continue after the last star when what follows does not fit.
     let mut retry = None;
     while t < text.len() {
         if p < pattern.len() && pattern[p] == '*' {

@@ -71,7 +71,7 @@ pub fn read_all(run: &Path) -> Result<Vec<Attempt>> {
     Ok(attempts)
 }
 
-/// Visits every line of every ledger without keeping it. Lines that are no text are left out.
+/// Visits every line of every ledger without keeping it. Lines that are not UTF-8 are left out.
 fn for_each_line(run: &Path, mut visit: impl FnMut(&str)) -> Result<()> {
     for path in files(run)? {
         let file = std::fs::File::open(&path).map_err(io("cannot read", &path))?;

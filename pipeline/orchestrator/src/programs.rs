@@ -103,7 +103,7 @@ impl StagePrograms {
             &["describe".to_owned(), "--params".to_owned(), params.to_string()],
         )?;
         let description: Description = serde_json::from_slice(&output)
-            .map_err(|error| self.error(stage, format!("`describe` answers no description: {error}")))?;
+            .map_err(|error| self.error(stage, format!("`describe` did not answer with a description: {error}")))?;
         if description.stage != stage.name() {
             return Err(self.error(
                 stage,
@@ -123,7 +123,7 @@ impl StagePrograms {
             &["list".to_owned(), root.display().to_string(), "--json".to_owned()],
         )?;
         let mut episodes: Vec<ListedEpisode> = serde_json::from_slice(&output)
-            .map_err(|error| self.error(StageId::Ingest, format!("`list` answers no list of episodes: {error}")))?;
+            .map_err(|error| self.error(StageId::Ingest, format!("`list` did not answer with episodes: {error}")))?;
         episodes.sort_by(|a, b| (&a.episode_id, &a.folder, &a.selector).cmp(&(&b.episode_id, &b.folder, &b.selector)));
         Ok(episodes)
     }

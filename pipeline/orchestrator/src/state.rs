@@ -16,7 +16,7 @@ pub enum OutputState {
     Missing,
     /// A whole file with another key.
     Stale(CacheKey),
-    /// Something that is no whole file, or that cannot be read.
+    /// A file that is not whole, or that cannot be read.
     Damaged(String),
 }
 
@@ -48,7 +48,7 @@ impl Plan {
         self.all_states(output_key_state)
     }
 
-    /// The same with every file's header and index checked ([`output_state`]), for who is going to build on them.
+    /// The same with every file's header and index checked ([`output_state`]), for a caller that builds on them.
     #[must_use]
     pub fn checked_states(&self) -> Vec<Vec<OutputState>> {
         self.all_states(output_state)

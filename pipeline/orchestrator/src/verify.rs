@@ -32,7 +32,7 @@ pub struct BadOutput {
 /// Reads every output of a run folder and checks it.
 ///
 /// # Errors
-/// When the folder is no run.
+/// When the folder is not a run folder.
 pub fn verify(run: &Path) -> Result<Verification> {
     Ok(verify_plan(&read_plan(run)?))
 }

@@ -39,7 +39,7 @@ struct Hold {
 }
 
 impl Hold {
-    /// At the begin or end of a stage of a clip: `a@lift@begin`. An empty place holds nothing.
+    /// At the start or end of a stage of a clip: `a@lift@begin`. An empty place holds nothing.
     fn at(place: &str) -> Self {
         Self {
             folder: tempfile::tempdir().unwrap(),
@@ -173,7 +173,7 @@ fn kill_loop(rounds: u64, workers: u32) {
                 }
                 1 => {
                     send("KILL", &worker);
-                    // The orchestrator goes on, with another worker.
+                    // The orchestrator continues with another worker.
                     assert_eq!(wait(child, "a run whose worker was killed").code(), Some(0), "{place}");
                     assert!(workspace.outputs() == expected, "round {round}");
                 }

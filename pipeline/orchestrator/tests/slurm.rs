@@ -219,7 +219,7 @@ fn a_killed_task_loses_one_unit_and_nothing_done_is_made_again() {
     site.turn.cluster.wait_for(&submitted.ids);
     let lost = site.turn.cluster.job(&format!("{}_1", submitted.id("lift")));
     assert!(lost.contains("ExitCode=0:9"), "{lost}");
-    // The dependents of the lost element are cancelled instead of waiting for ever.
+    // The dependents of the lost element are cancelled instead of waiting forever.
     let dependent = site.turn.cluster.job(&format!("{}_1", submitted.id("refine")));
     assert!(dependent.contains("JobState=CANCELLED"), "{dependent}");
     let status = site.status();
@@ -276,7 +276,7 @@ fn a_requeued_task_goes_on_by_itself_and_keeps_its_first_log() {
     cluster.ask("scontrol", &["requeue", &element]);
     wait_until("the first try to end", || !cluster::lives(&worker));
     let again = format!("jobid={element}");
-    // Slurm holds a requeued task back for two minutes, unless it is told not to.
+    // Slurm holds a requeued task back for two minutes, unless an option forbids it.
     cluster.ask("scontrol", &["update", &again, "StartTime=now"]);
     cluster.wait_for(&submitted.ids);
     let requeued = cluster.job(&element);

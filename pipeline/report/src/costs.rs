@@ -93,7 +93,7 @@ fn refinement_seconds(seconds: &BTreeMap<String, f64>, scored: Option<u64>, made
     known.then(|| (all - later).max(0.0))
 }
 
-/// What an outside method says its own steps cost; nothing when it says nothing that is understood.
+/// What an outside method says its own steps cost; nothing when nothing of it is understood.
 fn given_timing(path: &Path) -> ClipTiming {
     let short = std::fs::metadata(path).is_ok_and(|metadata| metadata.len() <= MAX_TIMING_BYTES);
     let text = if short {

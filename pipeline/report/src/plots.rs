@@ -7,7 +7,7 @@ use rogs_schemas::records::scores::ScoreSheet;
 use rogs_score::metrics::mean;
 use rogs_score::summary::{ImageMetric, Metric, clip_value};
 
-/// Methods that are compared, with the baseline first: those that are no variant of another.
+/// Methods that are compared, with the baseline first: those that are not variants of another.
 fn plain_methods(sheets: &[ScoreSheet]) -> Vec<&str> {
     let names: BTreeSet<&str> = sheets
         .iter()

@@ -22,7 +22,7 @@ const PICTURE_CLIPS: usize = 24;
 /// page. Outputs that cannot be read are named in the page instead of stopping it.
 ///
 /// # Errors
-/// When `run` is no run folder, cannot be read, or the report cannot be written.
+/// When `run` is not a run folder, cannot be read, or the report cannot be written.
 pub fn write_report(run: &Path) -> Result<PathBuf> {
     let results = RunResults::read(run)?;
     let folder = results.plan.run.join(FOLDER);

@@ -13,7 +13,7 @@ use crate::model::{JointKind, RobotModel};
 ///
 /// # Errors
 /// Names the row (counted from 1 below the header) and the column: unknown, fixed or repeated joint, wrong number of
-/// fields, a field that is no finite number, a mimic joint that contradicts its driver.
+/// fields, a field that is not a finite number, a mimic joint that contradicts its driver.
 pub fn fk_rows<R, F>(model: &RobotModel, header: &[String], rows: R) -> Result<Vec<Value>>
 where
     R: IntoIterator<Item = Vec<F>>,

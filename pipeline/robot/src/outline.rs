@@ -5,7 +5,7 @@
 
 use rogs_schemas::records::robot::NO_LINK;
 
-/// Pixels of the robot that touch a pixel without robot (4-neighbourhood), ascending. The image border is no outline.
+/// Pixels of the robot that touch a pixel without robot (4-neighbourhood), ascending. The image border is not outline.
 #[must_use]
 pub fn silhouette(link: &[u8], width: u32, height: u32) -> Vec<u32> {
     boundary(link, width, height, |here, there| here != NO_LINK && there == NO_LINK)
@@ -37,7 +37,7 @@ fn boundary(link: &[u8], width: u32, height: u32, differs: impl Fn(u8, u8) -> bo
 pub struct EdgeOptions {
     /// Standard deviation of the smoothing, pixels.
     pub sigma_px: f32,
-    /// Gradients below this are no edge, grey values (0..255) per pixel.
+    /// Gradients below this are not edges, grey values (0..255) per pixel.
     pub low: f32,
     /// Edges need one pixel with at least this gradient.
     pub high: f32,

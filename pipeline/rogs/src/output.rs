@@ -50,7 +50,7 @@ pub(crate) fn error(error: &anyhow::Error) {
     }
 }
 
-/// True when whoever read our output went away, which is no error.
+/// True when whoever read our output went away, which is not an error.
 pub(crate) fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error.chain().any(|cause| {
         let io = cause.downcast_ref::<std::io::Error>().map(std::io::Error::kind);

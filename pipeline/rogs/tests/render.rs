@@ -396,7 +396,7 @@ fn nothing_is_written_before_every_camera_and_option_is_understood() {
         format!("[{good}, {second}]")
     };
     for (name, text, said) in [
-        ("no", "{".to_owned(), "no camera file"),
+        ("no", "{".to_owned(), "not a camera file"),
         ("empty", "[]".to_owned(), "holds no camera"),
         ("pose", with_second("[0,0,1,0]", "[0,0,2,0]"), ""),
         ("lens", with_second("\"fx\": 30", "\"fx\": 0"), "`second`"),
@@ -404,7 +404,7 @@ fn nothing_is_written_before_every_camera_and_option_is_understood() {
         (
             "frame",
             with_second("recon_from_camera", "world_from_camera"),
-            "no camera file",
+            "not a camera file",
         ),
     ] {
         workspace.write("cameras.json", &text);

@@ -63,7 +63,7 @@ fn part(name: &str) -> bool {
     std::env::var("ROGS_BENCH_PARTS").map_or(true, |parts| parts.split(',').any(|p| p == name))
 }
 
-/// Wall and processor times of one contender, milliseconds. Processor times say more on a machine that others use too.
+/// Wall and CPU times of one contender, milliseconds. CPU times say more on a machine that others use too.
 #[derive(Default)]
 struct Times {
     wall: Vec<f64>,

@@ -1,4 +1,4 @@
-//! The clip workload on a graphics processor, beside the processor in the same run:
+//! The clip workload on a GPU, beside the CPU in the same run:
 //! `cargo bench -p rogs-splat --features gpu --bench gpu`. Prints the device, the times and their ratios.
 //!
 //! `ROGS_BENCH_PARTS` (single, clip, contributions), `ROGS_BENCH_ROUNDS` and `ROGS_BENCH_SIZE` (Gaussians a source image,

@@ -27,8 +27,8 @@ pub enum SplatError {
         /// The value found.
         value: String,
     },
-    /// There is no graphics processor, or it cannot do what was asked.
-    #[error("graphics processor: {what}")]
+    /// There is no GPU, or it cannot do what was asked.
+    #[error("GPU: {what}")]
     Gpu {
         /// What is wrong.
         what: String,
@@ -36,7 +36,7 @@ pub enum SplatError {
 }
 
 impl SplatError {
-    /// An error of the graphics processor.
+    /// An error of the GPU.
     #[cfg(feature = "gpu")]
     pub(crate) fn gpu(what: impl Into<String>) -> Self {
         Self::Gpu { what: what.into() }

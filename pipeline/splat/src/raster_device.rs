@@ -1,4 +1,4 @@
-//! One interface to the rasteriser wherever it runs: on the processor, or (feature `gpu`) on a graphics processor.
+//! One interface to the rasteriser wherever it runs: on the CPU, or (feature `gpu`) on a GPU.
 
 use crate::backward::{self, Gradients, PoseGradient, RenderGradient, Tape};
 use crate::camera::{RasterCamera, RasterConfig};
@@ -10,14 +10,14 @@ use crate::render::{Render, render_views};
 #[cfg(feature = "gpu")]
 use crate::gpu::{self, GpuContributions, GpuDevice, GpuScene, GpuTape};
 
-/// Where renders run. To keep a scene in the memory of a graphics processor between renders use the
+/// Where renders run. To keep a scene in the memory of a GPU between renders use the
 /// module `gpu` itself.
 #[derive(Debug, Clone, Default)]
 pub enum RasterDevice {
-    /// The processor, with its widest vector instructions.
+    /// The CPU, with its widest vector instructions.
     #[default]
     Cpu,
-    /// A graphics processor.
+    /// A GPU.
     #[cfg(feature = "gpu")]
     Gpu(GpuDevice),
 }
@@ -35,7 +35,7 @@ pub enum RasterTape {
 pub enum RasterContributions {
     /// In ordinary memory.
     Cpu(Contributions),
-    /// In the memory of a graphics processor.
+    /// In the memory of a GPU.
     #[cfg(feature = "gpu")]
     Gpu(Box<GpuContributions>),
 }

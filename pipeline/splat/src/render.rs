@@ -59,7 +59,7 @@ pub struct Counts {
 /// Renders one view.
 ///
 /// # Errors
-/// When arrays, camera or settings make no sense. Bad values of single Gaussians are no error: these are dropped and
+/// When arrays, camera or settings make no sense. Bad values of single Gaussians are not errors: these are dropped and
 /// counted in [`Counts::invalid`].
 pub fn render(gaussians: &Gaussians, camera: &RasterCamera, config: &RasterConfig) -> Result<Render> {
     match render_views(gaussians, std::slice::from_ref(camera), config)?.pop() {

@@ -1,4 +1,4 @@
-//! Parts of the Stage-1 network beside PyTorch, float32 and bfloat16 products each, in one run, by processor time.
+//! Parts of the Stage-1 network beside PyTorch, float32 and bfloat16 products each, in one run, by CPU time.
 //!
 //! `ROGS_PEER_PYTHON=python cargo bench -p rogs-stage1 --bench stage1 -- [CONFIGURATION] [whole]`, where that Python has
 //! `torch`; without the variable our times are printed alone. Both sides use as many threads as rayon does.
@@ -188,7 +188,7 @@ fn peer(
     Ok(Some(serde_json::from_slice(&output.stdout)?))
 }
 
-/// Smallest processor time of some repeats, after one run that warms up.
+/// Smallest CPU time of some repeats, after one run that warms up.
 fn best(mut work: impl FnMut()) -> f64 {
     work();
     (0..REPEATS)

@@ -16,7 +16,7 @@ use crate::{Result, Stage1, Stage1Config, layout};
 /// Kind of a Stage-1 checkpoint.
 pub const STAGE1: &str = "stage1";
 /// Networks of at most this many parameters are held in memory; larger ones are read from the mapped file as they run. A
-/// graphics processor holds any in its own memory, so that a clip costs no uploads of weights.
+/// GPU holds any in its own memory, so that a clip costs no uploads of weights.
 const RESIDENT_PARAMETERS: usize = 64 << 20;
 
 /// Metadata of a Stage-1 checkpoint.
@@ -47,7 +47,7 @@ pub struct LoadedStage1 {
 /// Opens a Stage-1 checkpoint and checks every name and shape against its configuration.
 ///
 /// # Errors
-/// When the file cannot be read, is no Stage-1 checkpoint, or its tensors are not those of its configuration.
+/// When the file cannot be read, is not a Stage-1 checkpoint, or its tensors are not those of its configuration.
 pub fn open_stage1(path: &Path, device: &Device) -> Result<LoadedStage1> {
     let file = TensorFile::open(path)?;
     let bad = |reason: String| rogs_weights::Error::BadFile {

@@ -51,7 +51,7 @@ fn from_vggt(name: &str) -> String {
 pub struct ImportRequest {
     /// The foreign file.
     pub input: PathBuf,
-    /// Where our checkpoint goes.
+    /// Where the checkpoint goes.
     pub output: PathBuf,
     /// The configuration whose tensors it must have.
     pub config: Stage1Config,
@@ -196,7 +196,7 @@ pub fn generate_stage1(
 /// Folds the low-rank updates of a checkpoint into its weights and writes the result.
 ///
 /// # Errors
-/// When the file is no Stage-1 checkpoint, has no updates, or writing fails.
+/// When the file is not a Stage-1 checkpoint, has no updates, or writing fails.
 pub fn merge_lora(input: &Path, output: &Path, element: ElementType) -> Result<()> {
     let file = TensorFile::open(input)?;
     let loaded = open_stage1(input, &burn::tensor::Device::flex())?;

@@ -70,7 +70,7 @@ fn a_generated_checkpoint_opens_as_the_seeded_network() {
     // Read tensor by tensor from the mapped file, the numbers are the same.
     let streamed = Parameters::streaming(Box::new(TensorFile::open(&path).unwrap()), &Device::flex());
     assert_eq!(taps(&Stage1::new(config.clone(), streamed).unwrap()), taps(&seeded));
-    // What is trained is brought into memory; copies with other leaves go on reading the rest from the file.
+    // What is trained is brought into memory; copies with other leaves still read the rest from the file.
     let mut mixed = Parameters::streaming(Box::new(TensorFile::open(&path).unwrap()), &Device::flex());
     let name = "backbone.backbone.camera_token";
     let shape = mixed.shape(name).unwrap().to_vec();

@@ -30,7 +30,7 @@ fn device() -> Device {
     device
 }
 
-/// Every output of the tiny Stage-1 network, at the tolerances of the processor.
+/// Every output of the tiny Stage-1 network, at the tolerances of the CPU.
 #[needs(shared)]
 #[test]
 fn stage1_full_forward() {

@@ -20,7 +20,7 @@ const FOLDERS: [&str; 3] = ["", "state_dict.", "model."];
 /// [`super::verify_parameters`] to judge.
 ///
 /// # Errors
-/// When the file cannot be read, or one of its tensors has another shape or a type that is no floating-point number.
+/// When the file cannot be read, or one of its tensors has another shape or a type that is not a floating-point one.
 pub fn read_weights(path: &Path, config: &RefinerConfig, device: &Device) -> Result<Parameters> {
     config.validate()?;
     let file = open_any(path)?;

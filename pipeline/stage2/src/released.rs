@@ -57,7 +57,7 @@ impl ReleasedModel {
     }
 
     /// Name and shape of every tensor: initial network and refiner. The counters of normalisations
-    /// (`num_batches_tracked`), which a file may have, are no parameters.
+    /// (`num_batches_tracked`), which a file may have, are not parameters.
     #[must_use]
     pub fn tensors(self) -> BTreeMap<String, Vec<usize>> {
         let column = match self {

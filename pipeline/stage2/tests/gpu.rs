@@ -55,7 +55,7 @@ fn adapted_updates() {
     updates::adapted_updates(&golden, &device);
 }
 
-/// The refiner as the stage runs it: kernels on the processor, framework operations on the device.
+/// The refiner as the stage runs it: kernels on the CPU, framework operations on the device.
 #[test]
 fn refiner_updates_as_on_the_processor() {
     let device = device();

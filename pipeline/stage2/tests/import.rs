@@ -126,7 +126,7 @@ fn the_released_model_is_imported_whole_with_every_shape_checked() {
     let error = import_released(&request).unwrap_err().to_string();
     assert!(error.contains("missing: encoder.depth_predictor."), "{error}");
     assert!(
-        error.contains("encoder.gaussian_head.2.bias is [58], needed is [232]"),
+        error.contains("encoder.gaussian_head.2.bias is [58], expected [232]"),
         "{error}"
     );
     assert!(!output.exists());

@@ -10,7 +10,7 @@ use crate::{Error, Result};
 
 /// Writes the weighted mean of checkpoints of one network: every tensor is the sum of `share * tensor` over the inputs, added
 /// up in f64 in the order given. Shares are divided by their sum. Metadata other than the provenance must be the same in all
-/// inputs, and goes on in the output; the provenance is the given one, or says what was averaged.
+/// inputs, and is kept in the output; the provenance is the given one, or says what was averaged.
 ///
 /// # Errors
 /// When there are no inputs, a share is not a positive number, an input cannot be read or is of another network than the

@@ -40,7 +40,7 @@ impl TensorFile {
         };
         if length > MAX_HEADER_BYTES || length > (map.len() - 8) as u64 {
             return Err(bad(format!(
-                "it claims a header of {length} bytes; it is no safetensors file, or cut short"
+                "it claims a header of {length} bytes: not a safetensors file, or cut short"
             )));
         }
         let data_start = 8 + length as usize;

@@ -147,7 +147,7 @@ struct RawEntry {
 /// Parses the JSON of a header and checks it against the number of bytes that follow.
 pub(super) fn parse(json: &[u8], data_bytes: usize) -> Result<Header, String> {
     let raw: BTreeMap<String, serde_json::Value> =
-        serde_json::from_slice(json).map_err(|error| format!("its header is no JSON object: {error}"))?;
+        serde_json::from_slice(json).map_err(|error| format!("its header is not a JSON object: {error}"))?;
     let (mut tensors, mut metadata) = (BTreeMap::new(), BTreeMap::new());
     for (name, value) in raw {
         if name == "__metadata__" {

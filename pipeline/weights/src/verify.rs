@@ -38,7 +38,7 @@ impl Verification {
         list("missing", self.missing.clone());
         list("unexpected", self.unexpected.clone());
         let wrong = |(name, found, expected): &(String, Vec<usize>, Vec<usize>)| {
-            format!("{name} is {found:?}, needed is {expected:?}")
+            format!("{name} is {found:?}, expected {expected:?}")
         };
         list("wrong shape", self.misshapen.iter().map(wrong).collect());
         lines

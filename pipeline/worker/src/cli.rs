@@ -165,16 +165,13 @@ fn command<S: Stage>() -> Command {
         .value_name("M")
         .value_parser(value_parser!(u32));
     let keep_going = Arg::new("keep-going").long("keep-going").action(ArgAction::SetTrue);
-    let batch =
-        Command::new("batch")
-            .about("Run one shard of a plan file, skipping what is up to date")
-            .arg(plan.help("The file that `rogs plan --emit jsonl` writes"))
-            .arg(index.help("The shard; auto: SLURM_ARRAY_TASK_ID, JOB_COMPLETION_INDEX or HQ_TASK_ID"))
-            .arg(count.help("Number of shards, to check that it is that of the plan"))
-            .arg(keep_going.help(
-                "Exit 0 although clips failed for good, so that what depends on this job goes on with the others",
-            ))
-            .args([threads.clone(), grace.clone()]);
+    let batch = Command::new("batch")
+        .about("Run one shard of a plan file, skipping what is up to date")
+        .arg(plan.help("The file that `rogs plan --emit jsonl` writes"))
+        .arg(index.help("The shard; auto: SLURM_ARRAY_TASK_ID, JOB_COMPLETION_INDEX or HQ_TASK_ID"))
+        .arg(count.help("Number of shards, to check that it is that of the plan"))
+        .arg(keep_going.help("Exit 0 although clips failed for good, so that dependent jobs continue with the others"))
+        .args([threads.clone(), grace.clone()]);
     let worker = Command::new("worker")
         .about("Serve jobs: JSON lines on stdin, events on stdout")
         .arg(threads)

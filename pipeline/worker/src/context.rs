@@ -131,7 +131,7 @@ impl Context<'_> {
         (self.progress)(fraction, message);
     }
 
-    /// Notes something a person should know; the job goes on.
+    /// Notes something a person should know; the job continues.
     pub fn warn(&mut self, warning: impl Into<String>) {
         self.warnings.push(warning.into());
     }

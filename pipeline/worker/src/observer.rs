@@ -25,7 +25,7 @@ pub trait Observer {
     /// A part of this name took so many seconds. Parts of the same name add up.
     fn add_seconds(&mut self, _name: &str, _seconds: f64) {}
 
-    /// Something a person should know; the work goes on.
+    /// Something a person should know; the work continues.
     fn warn(&mut self, _warning: String) {}
 }
 

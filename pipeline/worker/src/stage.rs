@@ -37,6 +37,6 @@ pub trait Stage: Sized {
     /// Runs one clip and returns what to write.
     ///
     /// # Errors
-    /// When the clip cannot be processed; the worker goes on with the next clip.
+    /// When the clip cannot be processed; the worker continues with the next clip.
     fn run(&mut self, context: &mut Context<'_>) -> StageResult<()>;
 }

@@ -37,7 +37,7 @@ pub fn encode<T: Serialize>(value: &T) -> Result<Vec<u8>, String> {
 /// The value of bytes, all of which must belong to it.
 ///
 /// # Errors
-/// When the bytes are no encoding of the type, or when some are left over.
+/// When the bytes do not encode the type, or when some are left over.
 pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
     if bytes.len() > LIMIT {
         return Err(format!(

@@ -200,7 +200,7 @@ impl Scratch {
         }
         check_frame(stored, out.len())?;
         if !out.len().is_multiple_of(stride) {
-            return Err(format!("{} bytes are no planes of stride {stride}", out.len()));
+            return Err(format!("{} bytes are not planes of stride {stride}", out.len()));
         }
         if codec == Codec::Zstd {
             decompress_exactly(decompressor, stored, out)?;
@@ -264,7 +264,7 @@ fn decompress_planes(
 ) -> Result<u32, String> {
     let count = out.len() / stride;
     if count == 0 || !out.len().is_multiple_of(stride) {
-        return Err(format!("{} bytes are no planes of stride {stride}", out.len()));
+        return Err(format!("{} bytes are not planes of stride {stride}", out.len()));
     }
     let (lengths, mut rest) = stored
         .split_at_checked(4 * stride)

@@ -10,7 +10,7 @@
 //!
 //! All integers are little endian. Checksums: XXH3-64 of what is stored, CRC-32C of what it decodes to. The identity of
 //! a file's data is the [`ContentHash`](crate::ContentHash) of its decoded streams, which does not depend on zstd.
-//! A file without a whole footer is no file. Nothing here is appended to or changed in place.
+//! A file without a whole footer counts as absent. Nothing here is appended to or changed in place.
 //!
 //! Writing and reading through [`Record`](crate::Record) is all a stage needs; [`Reader::read_chunk`] fetches one chunk
 //! by touching only its bytes, and [`inspect`] describes any file.

@@ -64,7 +64,7 @@ pub fn read_header(path: &Path) -> Result<FileHeader> {
     Ok(Reader::open(path)?.header())
 }
 
-/// Reads only the cache key: the 64 bytes at the begin and at the end of the file, with their checksums, and its length.
+/// Reads only the cache key: the first and the last 64 bytes of the file, with their checksums, and its length.
 /// A file that was cut off or never finished has none; what lies between is not looked at.
 ///
 /// # Errors
@@ -85,7 +85,7 @@ pub fn read_key(path: &Path) -> Result<CacheKey> {
     let status = file.metadata().map_err(io)?;
     let length = status.len();
     if !status.is_file() || length < MIN_FILE {
-        return Err(damaged(0, format!("it is no container file ({length} bytes)")));
+        return Err(damaged(0, format!("not a container file ({length} bytes)")));
     }
     let footer = Footer::from_bytes(&edge(&file, length - EDGE).map_err(io)?)
         .map_err(|(at, check)| damaged(length - EDGE + at, check))?;

@@ -3,7 +3,7 @@
 //! Done in tiles of 16 elements by 16, 8 or 4 bytes. A tile is a list of 16-byte lanes, seen as one list of bytes whose
 //! address has the bits `plane : element` on one side of the transposition and `element : plane` on the other.
 //! [`rotate`] interleaves the two halves of that list, which rotates the address bits by one; as many rotations as one
-//! part has bits trade the two. Interleaving is one instruction a lane on common processors.
+//! part has bits trade the two. Interleaving is one instruction a lane on common CPUs.
 
 /// Elements of a tile.
 const TILE: usize = 16;

@@ -307,7 +307,7 @@ impl Clip {
         if let Some(partner) = camera.partner {
             let other = self.cameras.get(partner as usize);
             ensure(other.is_some_and(|other| other.role == CameraRole::Source), || {
-                format!("its partner {partner} is no source camera")
+                format!("its partner {partner} is not a source camera")
             })?;
         }
         match &camera.mount {

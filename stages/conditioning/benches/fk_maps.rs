@@ -190,7 +190,7 @@ fn measure(workload: &Workload) {
     report_peer(workload, &out[(QUERIES + 2) * 5 * AREA..][..5 * AREA], ours);
 }
 
-/// Median, least and mean processor milliseconds (all threads) of several runs after a warm-up.
+/// Median, least and mean CPU milliseconds (all threads) of several runs after a warm-up.
 fn milliseconds(runs: usize, mut work: impl FnMut()) -> [f64; 3] {
     work();
     let before = processor_seconds();

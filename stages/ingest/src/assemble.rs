@@ -210,7 +210,7 @@ fn make_camera(
             let found = source.cameras.iter().position(fits);
             if found.is_none() {
                 warnings.push(format!(
-                    "the partner `{name}` of camera `{}` is no source camera of the clip",
+                    "the partner `{name}` of camera `{}` is not a source camera of the clip",
                     camera.id
                 ));
             }

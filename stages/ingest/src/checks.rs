@@ -100,7 +100,7 @@ pub(crate) fn states(states: &States, row_name: &str, path: &Path) -> StageResul
     Ok(())
 }
 
-/// Ascending times in seconds that step as the frame rate says; gaps are told, since frames are taken as even in time.
+/// Ascending times in seconds that step as the frame rate says; gaps warn, since frames are taken as even in time.
 pub(crate) fn times(times: &[f64], fps: f64, path: &Path) -> StageResult<Option<String>> {
     /// The usual step may differ from the frame rate's by this share: recorders do not keep time exactly.
     const TOLERANCE: f64 = 0.1;

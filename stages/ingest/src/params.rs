@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 pub struct Params {
     /// Layout of the episode folder.
     pub layout: LayoutChoice,
-    /// Which episode of the folder: what `rogs-ingest list` prints as selector. Empty when the folder holds only one.
+    /// Which episode of the folder: the selector of `rogs stage ingest list`. Empty when the folder holds only one.
     #[serde(deserialize_with = "text_or_number")]
     pub episode: String,
     /// Episode frame that becomes clip frame 0. `null`: the anchor frame of the episode's tracks where it has tracks;
@@ -187,7 +187,7 @@ impl Params {
         if let Some([near, far]) = self.depth_range_m
             && !(near.is_finite() && far.is_finite() && 0.0 <= near && near < far)
         {
-            return wrong(format!("`depth_range_m` {near} to {far} is no interval"));
+            return wrong(format!("invalid `depth_range_m` {near} to {far}: expected an interval"));
         }
         Ok(())
     }

@@ -233,7 +233,7 @@ fn damaged_states_name_file_and_row() {
     assert_eq!(short, "`EP/joints.csv`: there are 19 rows, the episode has 20 frames");
     assert!(rows("long", |lines| lines.push("9,0,0,0".into())).contains("more rows than the 20 frames"));
     assert!(rows("cells", |lines| lines[2] = "0,0,0".into()).contains("row 1 has 3 cells"));
-    assert!(rows("word", |lines| lines[2] = "0.1,0,x,0".into()).contains("`x` in column `j2`, row 1 is no number"));
+    assert!(rows("word", |lines| lines[2] = "0.1,0,x,0".into()).contains("invalid number `x` in column `j2`, row 1"));
     assert!(rows("time", |lines| lines[3] = "0.01,0,0,0".into()).contains("time 0.01 at row 2 does not ascend"));
     assert!(rows("header", |lines| lines[0] = "time,gripper,j2,other".into()).contains("no column `j1`"));
     assert!(rows("degrees", |lines| lines[2] = "0.1,0,0,90".into()).contains("joint `j1` is 90"));

@@ -307,7 +307,7 @@ fn damaged_videos_are_noticed() {
     assert!(said(&copy.0).contains("ffprobe cannot read the video"));
     std::fs::remove_file(&path).unwrap();
     assert!(said(&copy.0).contains("video 1 is missing"));
-    // A playlist that names other files is no video.
+    // A playlist that names other files is not a video.
     std::fs::write(&path, "#EXTM3U\n#EXTINF:1,\nfile:///etc/passwd\n").unwrap();
     assert!(said(&copy.0).contains("ffprobe cannot read the video"));
     std::fs::write(&path, &whole).unwrap();

@@ -266,7 +266,7 @@ impl LatentFile {
             Some(&[LATENT_CHANNELS, times, rows, columns]) if times * rows * columns > 0 => {
                 Ok((self.file.values(name).map_err(stage_error)?, [times, rows, columns]))
             }
-            Some(shape) => Err(self.bad(format!("`{name}` is {shape:?}, needed is [48, times, rows, columns]"))),
+            Some(shape) => Err(self.bad(format!("`{name}` is {shape:?}, expected [48, times, rows, columns]"))),
             None => Err(self.bad(format!("it has no tensor `{name}`"))),
         }
     }
@@ -279,7 +279,7 @@ impl LatentFile {
     fn number(&self, key: &str) -> StageResult<usize> {
         let text = self.text(key)?;
         text.parse()
-            .map_err(|_| self.bad(format!("`{key}` is no number: `{text}`")))
+            .map_err(|_| self.bad(format!("invalid number `{text}` in `{key}`")))
     }
 
     fn bad(&self, what: String) -> StageError {

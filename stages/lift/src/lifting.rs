@@ -97,7 +97,7 @@ pub(crate) fn lift_base(
     Ok(base)
 }
 
-/// Runs a function for every frame: at the same time on the processor, one after the other on a graphics processor, which has
+/// Runs a function for every frame: at the same time on the CPU, one after the other on a GPU, which has
 /// one queue and whose memory several frames would share.
 fn for_every<T: Send>(
     frames: usize,

@@ -13,7 +13,7 @@ use rogs_worker::{StageError, StageResult};
 use crate::params::LiftParams;
 use crate::stage_error;
 
-/// The checkpoint that comes with the program: the `compact` network in bfloat16, trained on procedural clips only. Its
+/// The bundled checkpoint: the `compact-sweep` network in bfloat16, trained on procedural clips only. Its
 /// model card is `stages/lift/weights/README.md`.
 pub static COMPACT_WEIGHTS: &[u8] = include_bytes!("../weights/compact-stage1.safetensors");
 
@@ -44,7 +44,7 @@ impl Model {
 /// Loads the network of a weights file, or generates weights from the seed when there is none.
 ///
 /// # Errors
-/// When the file cannot be read or is no Stage-1 checkpoint, or the configuration is not known.
+/// When the file cannot be read or is not a Stage-1 checkpoint, or the configuration is not known.
 pub fn load_model(params: &LiftParams, weights: Option<&Path>) -> StageResult<Model> {
     let device = device::open(&params.device).map_err(stage_error)?;
     let mut model = match weights {

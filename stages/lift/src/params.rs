@@ -52,7 +52,7 @@ pub struct LiftParams {
 pub enum Numbers {
     /// f32.
     F32,
-    /// Operands rounded to bfloat16: faster on processors with AVX512_BF16, the same bits on others, and less exact.
+    /// Operands rounded to bfloat16: faster on CPUs with AVX512_BF16, the same bits on others, and less exact.
     Bf16,
 }
 
@@ -170,7 +170,7 @@ impl LiftParams {
         device::check(&self.device).map_err(|error| StageError::bad_params(error.to_string()))?;
         if self.device != "cpu" && self.precision == Numbers::Bf16 {
             return Err(StageError::bad_params(
-                "`precision = \"bf16\"` is for the processor: graphics processors are programmed in WGSL here, which has no \
+                "`precision = \"bf16\"` needs the CPU: GPUs are programmed in WGSL here, which has no \
                  bfloat16 numbers",
             )
             .with_hint("leave `precision` at \"f32\", or choose `device = \"cpu\"`"));

@@ -22,7 +22,7 @@ pub(crate) fn resumed(
 ) -> StageResult<Recurrence> {
     let wrong = |what: String| {
         StageError::bad_input(format!("cannot resume from the earlier refinement: {what}"))
-            .with_hint("leave the input `resume` away to start from the field")
+            .with_hint("leave out the input `resume` to start from the field")
     };
     let config = network.refiner.config();
     let count = inputs.field.len();
@@ -38,7 +38,9 @@ pub(crate) fn resumed(
         )));
     }
     if earlier.scale_residual != params.scale_residual {
-        return Err(wrong("its scale residuals are meant in another way".into()));
+        return Err(wrong(
+            "its scale residuals have another meaning (`scale_residual`)".into(),
+        ));
     }
     let Some((last, before)) = earlier.steps.split_last() else {
         return Err(wrong("it holds no correction".into()));

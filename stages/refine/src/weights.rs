@@ -19,7 +19,7 @@ pub struct LoadedRefiner {
     pub warnings: Vec<String>,
 }
 
-/// The refiner that comes with the program: the `ci` preset, trained on fields of the built-in Stage 1 on procedural clips
+/// The bundled refiner: the `ci` preset, trained on fields of the built-in Stage 1 on procedural clips
 /// only. Its model card is `stages/refine/weights/README.md`.
 pub static CI_WEIGHTS: &[u8] = include_bytes!("../weights/ci-stage2.safetensors");
 

@@ -123,7 +123,7 @@ impl References {
     }
 }
 
-/// What tells one state of a weights file, or of the files of a folder, from another.
+/// What distinguishes one state of a weights file, or of the files of a folder, from another.
 fn stamp(path: &Path) -> Stamp {
     let of = |path: PathBuf| {
         let metadata = std::fs::metadata(&path).ok();

@@ -62,8 +62,8 @@ pub enum PictureError {
         /// Why.
         source: std::io::Error,
     },
-    /// A file is no image that can be read.
-    #[error("`{}` is no readable image", path.display())]
+    /// A file is not an image that can be read.
+    #[error("not a readable image: `{}`", path.display())]
     Image {
         /// The file.
         path: PathBuf,

@@ -206,7 +206,7 @@ impl Scene<'_> {
             FieldSource::Outside(field) => {
                 let gaussians = field.gaussians(frame).map_err(|error| {
                     outside_error(error).with_hint(
-                        "a prediction needs every query frame of the clip (`rogs inspect clip.r4c` lists them), and the \
+                        "a prediction needs every query frame of the clip (the report lists them), and the \
                          anchor frame of the tracks",
                     )
                 })?;

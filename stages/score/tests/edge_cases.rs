@@ -111,7 +111,7 @@ fn delta1_does_not_count_its_bounds() {
 fn a_clip_with_a_single_distinct_time() {
     let mut own = sheet("stage1", "a");
     own.images = vec![image(0, Some(17.0))];
-    // The anchor is that time: no displacement remains, and the mean over nothing is no number.
+    // The anchor is that time: no displacement remains, and the mean over nothing is NaN.
     assert_eq!(clip_value(&own, Metric::Novel(ImageMetric::Psnr)), Some(17.0));
     assert_eq!(clip_value(&own, Metric::RobotEpe), None);
     let plan = query_plan("one", 1, &[0]);

@@ -1,5 +1,5 @@
 //! Outside methods from files: the same field scored as PLY, as `.npz`, as rendered images and camera-wise must have the
-//! scores it has as a field of our own.
+//! scores that it has as a field of rogs.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,

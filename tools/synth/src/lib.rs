@@ -1,6 +1,6 @@
 //! Synth: procedural robot episodes with exact references.
 //!
-//! An arm with Panda kinematics and shells of our own stands at a table with 3 to 12 objects in a room, all drawn from a
+//! An arm with Panda kinematics and shells made here stands at a table with 3 to 12 objects in a room, all drawn from a
 //! seed; it reaches, grasps, carries or pushes for 33 frames at 15 Hz, seen by a wrist camera and two external stereo pairs
 //! with DROID's geometry. What is drawn is what is written (URDF and glTF of the robot included), so depth, ids, tracks and
 //! calibration are exact.

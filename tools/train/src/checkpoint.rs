@@ -1,4 +1,4 @@
-//! What a run leaves in its folder, and how it goes on from there.
+//! What a run leaves in its folder, and how it resumes there.
 //!
 //! | file | content |
 //! |---|---|
@@ -69,7 +69,7 @@ impl RunFolder {
                 return Err(Error::Folder {
                     path,
                     reason: "the folder belongs to a run with other settings; give another folder with `--out`, \
-                             or give this file as the settings to go on"
+                             or give this file as the settings to resume"
                         .into(),
                 });
             }

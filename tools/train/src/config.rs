@@ -27,9 +27,9 @@ pub struct Stage1Training {
     pub seed: u64,
     /// Updates of the whole schedule.
     pub steps: u64,
-    /// A checkpoint is written every so many updates.
+    /// Updates from one checkpoint to the next.
     pub checkpoint_every: u64,
-    /// Held-out clips are scored every so many updates.
+    /// Updates from one scoring of held-out clips to the next.
     pub evaluate_every: u64,
     /// Held-out clips that are scored.
     pub evaluation_clips: u64,
@@ -438,9 +438,9 @@ pub(crate) fn read_toml<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T
 pub struct Cadence {
     /// Updates of the whole schedule.
     pub steps: u64,
-    /// A checkpoint is written every so many updates.
+    /// Updates from one checkpoint to the next.
     pub checkpoint_every: u64,
-    /// Held-out clips are scored every so many updates.
+    /// Updates from one scoring of held-out clips to the next.
     pub evaluate_every: u64,
 }
 

@@ -1,4 +1,4 @@
-//! The way of a network's outputs to another device and of their gradients back: a network runs on a graphics processor, while
+//! The way of a network's outputs to another device and of their gradients back: a network runs on a GPU, while
 //! the rasteriser and the losses of Stage 1 are those of the CPU.
 
 use burn::tensor::{Device, Gradients, Tensor};

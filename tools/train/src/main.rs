@@ -28,21 +28,21 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Trains Stage 1, the lifting network; the same command goes on after a stop.
+    /// Trains Stage 1, the lifting network; the same command resumes after a stop.
     Stage1 {
         /// TOML file of settings; without one, the paper's schedule for the compact network.
         settings: Option<PathBuf>,
         #[command(flatten)]
         trainer: CourseArguments,
     },
-    /// Trains Stage 2, the refiner, on fields of a trained Stage 1; the same command goes on after a stop.
+    /// Trains Stage 2, the refiner, on fields of a trained Stage 1; the same command resumes after a stop.
     Stage2 {
         /// TOML file of settings; `lift` names the weights of Stage 1.
         settings: PathBuf,
         #[command(flatten)]
         trainer: CourseArguments,
     },
-    /// Trains the latent adapter on clips of a run and their latents; the same command goes on after a stop.
+    /// Trains the latent adapter on clips of a run and their latents; the same command resumes after a stop.
     Latent {
         /// TOML file of settings; `lift`, `run` and `latents` must be in it.
         settings: PathBuf,
@@ -76,7 +76,7 @@ struct CourseArguments {
     /// Stops once this many updates are done; the schedule stays that of all of them.
     #[arg(long)]
     stop_after: Option<u64>,
-    /// Where networks run: `cpu`, or `gpu` where this program was built with the feature `gpu`. A run may go on elsewhere; its
+    /// Where networks run: `cpu`, or `gpu` where this program was built with the feature `gpu`. A run may change it; its
     /// updates then differ by rounding.
     #[arg(long, default_value = "cpu")]
     device: String,

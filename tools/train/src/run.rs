@@ -87,7 +87,7 @@ pub trait Trainer {
     fn metadata(&self, time: &str) -> BTreeMap<String, String>;
 }
 
-/// Trains until the last update or until `stop_after` updates are done, whichever is first; goes on where the folder's
+/// Trains until the last update or until `stop_after` updates are done, whichever is first; resumes where the folder's
 /// last checkpoint is. `say` gets lines for a person.
 ///
 /// # Errors

@@ -1,4 +1,4 @@
-//! Training changes the network as its settings say, and a killed run goes on as if nothing had happened.
+//! Training changes the network as its settings say, and a killed run resumes as if nothing had happened.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -405,7 +405,7 @@ fn gradient_checkpointing_changes_no_gradient() {
     }
 }
 
-/// Losses on copies of the outputs, as for a network on a graphics processor, give the gradients of losses on the outputs.
+/// Losses on copies of the outputs, as for a network on a GPU, give the gradients of losses on the outputs.
 #[test]
 fn losses_on_copies_of_the_outputs_change_no_gradient() {
     let mut settings = tiny(1);
@@ -471,7 +471,7 @@ fn a_network_learns_one_clip() {
     assert!(losses[11] < 0.8 * losses[0], "{losses:?}");
 }
 
-/// Checkpoints of a configuration without a stem or a sweep go on in one that has it.
+/// Checkpoints of a configuration without a stem or a sweep continue in one that has it.
 #[test]
 fn a_checkpoint_without_a_stem_or_sweep_gets_one_that_says_nothing_yet() {
     let without_stem = Stage1Config {
@@ -489,7 +489,7 @@ fn goes_on_with_what_it_lacks(config: &Stage1Config, wanted: Stage1Config, learn
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("old.safetensors");
     let mut old = seeded::network(config, 5, &Device::flex()).unwrap();
-    // A trained stem is heard; a seeded one is not, nor would be a sweep that says something to it.
+    // A trained stem counts; a seeded one does not, nor would a sweep that feeds it.
     let heard = "backbone.depth_head.stem.project.1.weight";
     if let Some(shape) = old.parameters.shape(heard).map(<[usize]>::to_vec) {
         let count = shape.iter().product();

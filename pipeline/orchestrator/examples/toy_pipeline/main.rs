@@ -1,7 +1,7 @@
 //! A pipeline of toy stages in one program, as `rogs` is one: `toy_pipeline stage NAME one|worker|describe ...`.
 //!
 //! An episode is a text file `NAME.txt`. Its words make stages misbehave: `fail@lift`, `panic@lift`, `abort@lift`,
-//! `kill@lift`, `hang@lift`, `stop@lift` (hears no signal but KILL), `io@lift` (fails the first time only), `memory@lift`
+//! `kill@lift`, `hang@lift`, `stop@lift` (ignores all but KILL), `io@lift` (fails the first time only), `memory@lift`
 //! (takes 300 MB). All records are real ones, small, with pictures in them, so that everything that reads run folders can
 //! be tested without the networks.
 //!

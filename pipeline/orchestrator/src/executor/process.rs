@@ -73,7 +73,7 @@ impl WorkerProcess {
         if let Some(stdout) = child.stdout.take() {
             std::thread::spawn(move || {
                 for line in BufReader::new(stdout).lines().map_while(std::result::Result::ok) {
-                    // A line that is no event can only come from a broken program; the job then fails at its end.
+                    // A line that is not an event can only come from a broken program; the job then fails at its end.
                     let Ok(event) = serde_json::from_str(&line) else { break };
                     if sender.send(event).is_err() {
                         break;
@@ -102,7 +102,7 @@ impl WorkerProcess {
             Err(_) => {
                 let stderr = worker.stderr_tail().join(" | ");
                 worker.kill();
-                Err(error(format!("did not come up as a worker: {stderr}")))
+                Err(error(format!("did not start as a worker: {stderr}")))
             }
         }
     }

@@ -1,4 +1,4 @@
-//! What a person sees on stderr while a run goes on: bars on a terminal, one line a unit elsewhere.
+//! What a person sees on stderr during a run: bars on a terminal, one line a unit elsewhere.
 #![allow(
     clippy::print_stderr,
     reason = "the one place that shows progress and warnings of a run"

@@ -211,7 +211,7 @@ impl<'a> Schedule<'a> {
             result.outcome = Outcome::Failed;
             result.failure = Some(Failure {
                 code: FailureCode::Internal,
-                message: format!("the worker says done, but `{}` is not up to date", path.display()),
+                message: format!("the worker reports success, but `{}` is not up to date", path.display()),
                 hint: Some("does another process change the run folder?".to_owned()),
             });
         }

@@ -174,7 +174,7 @@ pub struct Weights {
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Latents {
     /// The folder that holds `CLIP.safetensors` for every clip, named by the clip's id. A clip without one fails where
-    /// latents are asked for; everything else goes on.
+    /// latents are asked for; everything else is made.
     pub root: PathBuf,
 }
 

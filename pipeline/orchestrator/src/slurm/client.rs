@@ -65,7 +65,7 @@ fn sbatch_once(command: &[String]) -> Answer {
     if !output.status.success() {
         let said = String::from_utf8_lossy(&output.stderr).trim().to_owned();
         let error = error(format!("refused ({}): {said}", output.status));
-        // One that says nothing was killed, or lost its connection before it could.
+        // One without a message was killed, or lost its connection before it could answer.
         let passing = said.is_empty() || PASSING.iter().any(|what| said.contains(what));
         return if passing {
             let hint = "is the controller up (`scontrol ping`)? The same command resumes";

@@ -147,7 +147,7 @@ fn prepare(prepared: &Prepared, finally: Option<&[String]>) -> Result<Submission
         scripts.push(stage_script(prepared, stage, &shards, shard_count, memory, last));
         let mut command = vec!["sbatch".to_owned(), "--parsable".to_owned()];
         if let Some(before) = index.checked_sub(1) {
-            // Without the second option a dependent of a failed element would wait for ever.
+            // Without the second option a dependent of a failed element would wait forever.
             command.push(format!("--dependency=aftercorr:<id of {}>", names[before]));
             command.push("--kill-on-invalid-dep=yes".to_owned());
         }

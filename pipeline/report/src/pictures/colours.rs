@@ -64,7 +64,7 @@ pub(super) fn link_picture(width: usize, height: usize, map: &RobotMap) -> Pictu
     let mut picture = Picture::new(width, height, 0);
     for ((pixel, &link), &support) in picture.rgb.chunks_exact_mut(3).zip(&map.link).zip(&map.support) {
         if link != NO_LINK {
-            // A fixed colour per link, dimmer where the pixel is no valid support.
+            // A fixed colour per link, dimmer where the pixel is not valid support.
             let hash = u32::from(link).wrapping_add(1).wrapping_mul(0x9e37_79b1);
             let scale = if support != 0 { 1.0 } else { 0.55 };
             for (channel, value) in pixel.iter_mut().enumerate() {

@@ -327,7 +327,7 @@ fn numbers<T: std::str::FromStr>(node: Node<'_, '_>) -> Parsed<Vec<T>> {
             let name = node.tag_name().name();
             values.push(word.parse().map_err(|_| {
                 format!(
-                    "`{}` in a `{name}` is no number of its kind",
+                    "invalid number `{}` in a `{name}`",
                     word.chars().take(20).collect::<String>()
                 )
             })?);
@@ -343,7 +343,7 @@ fn attribute_number(node: Node<'_, '_>, name: &str) -> Parsed<usize> {
             .trim()
             .parse::<u32>()
             .map(|value| value as usize)
-            .map_err(|_| format!("the attribute {name}=`{text}` is no count")),
+            .map_err(|_| format!("invalid count `{text}` in the attribute `{name}`")),
     }
 }
 

@@ -11,7 +11,7 @@ const MAX_INSTANCES: usize = 20_000;
 const MAX_DEPTH: usize = 64;
 
 pub(super) fn parse(bytes: &[u8], external: &dyn Fn(&str) -> Parsed<Vec<u8>>) -> Parsed<Mesh> {
-    let refuse = |error: gltf::Error| format!("no glTF: {error}");
+    let refuse = |error: gltf::Error| format!("not a glTF file: {error}");
     check_container(bytes)?;
     let gltf::Gltf { document, blob } = gltf::Gltf::from_slice_without_validation(bytes).map_err(refuse)?;
     let root = document.into_json();
@@ -42,7 +42,7 @@ fn check_container(bytes: &[u8]) -> Parsed<()> {
     let length = (bytes.strip_prefix(b"glTF")).and_then(|rest| rest.get(4..8)?.try_into().ok());
     match length.map(u32::from_le_bytes) {
         Some(length) if length < HEAD => Err(format!(
-            "no glTF: its head says that it has {length} bytes, fewer than a head has"
+            "not a glTF file: its head says that it has {length} bytes, fewer than a head has"
         )),
         _ => Ok(()),
     }
@@ -304,6 +304,6 @@ mod tests {
         );
         let outside = quad("", 3).replace("data:application/octet-stream;base64,", "../secret.bin?");
         assert!(parse(outside.as_bytes(), &no_files).unwrap_err().contains("no file"));
-        assert!(parse(b"{}", &no_files).unwrap_err().contains("no glTF"));
+        assert!(parse(b"{}", &no_files).unwrap_err().contains("not a glTF file"));
     }
 }

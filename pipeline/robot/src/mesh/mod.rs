@@ -174,7 +174,7 @@ impl Mesh {
             .position(|p| !p.iter().all(|value| value.is_finite() && value.abs() < 1e6))
         {
             return Err(format!(
-                "vertex {index} is {:?}, which is no position",
+                "vertex {index} has the invalid position {:?}",
                 self.positions[index]
             ));
         }

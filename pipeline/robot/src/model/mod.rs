@@ -131,7 +131,7 @@ impl RobotModel {
     /// Reads a URDF file. Nothing is executed, nothing but the file is read; meshes follow when they are asked for.
     ///
     /// # Errors
-    /// When the file cannot be read, exceeds the limits (1 MiB, depth, attributes), is no URDF, or describes no tree of
+    /// When the file cannot be read, exceeds the limits (1 MiB, depth, attributes), is not a URDF, or describes no tree of
     /// links: cycles, several roots, duplicate or unknown names, joints without limits, numbers that are not finite.
     pub fn load(path: &Path) -> Result<Self> {
         load::load(path)

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::output;
 
-/// What this machine offers and what is missing.
+/// Shows what this machine offers and what is missing.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Folder in which runs will lie; checked for writing, renaming and locking.

@@ -9,7 +9,7 @@ use rogs_robot::fk_json::fk_rows;
 
 use crate::output;
 
-/// Link poses of a robot for every row of a table of joint values.
+/// Computes link poses of a robot for every row of a table of joint values.
 ///
 /// Prints a JSON array with one object a row; its `links` maps each link's name to its row-major 4x4 pose in the base
 /// link's frame (metres).

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use crate::output;
 
-/// Header, provenance and streams of a `.r4c` file, every checksum verified.
+/// Shows header, provenance and streams of a `.r4c` file, every checksum verified.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The file.

@@ -7,7 +7,7 @@ use rogs_orchestrator::logs::{logs, text};
 
 use crate::output;
 
-/// What happened to one clip, attempt by attempt.
+/// Shows what happened to one clip, attempt by attempt.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The run folder.

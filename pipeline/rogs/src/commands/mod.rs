@@ -42,7 +42,7 @@ enum Command {
     Run(run::Args),
     Plan(plan::Args),
     Submit(submit::Args),
-    /// What is done in a run folder, what failed and why, what is left.
+    /// Shows what is done in a run folder, what failed and why, and what is left.
     Status(status::Args),
     /// Reads every output of a run folder completely and checks it against the plan.
     Verify(status::Args),

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::output;
 
-/// Renders a field of ours at a stored time, or any 3DGS PLY, to PNG, EXR and npz; writes a field as PLY.
+/// Renders a field at a stored time, or any 3DGS PLY, to PNG, EXR and npz; writes a field as PLY.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// A field (`field-1.r4c`) or a PLY file.
@@ -39,8 +39,8 @@ const CAMERA_HELP: &str = "Camera file: JSON, one camera or a list of them, for 
  \"intrinsics\": {\"fx\": 116, \"fy\": 116, \"cx\": 140, \"cy\": 77},
  \"base_from_camera\": [[1,0,0,0.5], [0,1,0,0], [0,0,1,0.4], [0,0,0,1]]}
 
-Pixel centres at + 0.5; camera axes OpenCV; metres. Say `recon_from_camera` for a pose in the reconstruction frame; for a \
-PLY its world is meant by either.";
+Pixel centres at + 0.5; camera axes OpenCV; metres. Use `recon_from_camera` for a pose in the reconstruction frame; for a \
+PLY both mean its world.";
 
 /// From where, and what is written.
 #[derive(Debug, clap::Args)]
@@ -183,7 +183,7 @@ pub(crate) fn render_field(
     time: f64,
     view: &ViewArgs,
 ) -> anyhow::Result<ExitCode> {
-    // A field takes long to read: a camera file with a mistake is told first.
+    // A field takes long to read: a camera file with a mistake is reported first.
     read_cameras(&view.camera)?;
     RasterDevice::open(&view.device)?;
     let refinement = match refinement {
@@ -262,7 +262,7 @@ fn render_scene(scene: &Scene, args: &ViewArgs, ply: Option<&WritePly<'_>>) -> a
         });
     }
     if args.json {
-        // One value per camera, as ever; the files of the scene as a whole stand with the first.
+        // One value per camera; the files of the scene as a whole stand with the first.
         if let Some(first) = rendered.first_mut() {
             first.files.splice(0..0, whole);
         }
@@ -288,7 +288,7 @@ fn render_scene(scene: &Scene, args: &ViewArgs, ply: Option<&WritePly<'_>>) -> a
 
 fn read_cameras(path: &Path) -> anyhow::Result<Vec<CameraSpec>> {
     let text = std::fs::read_to_string(path).with_context(|| format!("reading `{}`", path.display()))?;
-    let file = serde_json::from_str(&text).with_context(|| format!("`{}` is no camera file", path.display()))?;
+    let file = serde_json::from_str(&text).with_context(|| format!("not a camera file: `{}`", path.display()))?;
     let cameras = match file {
         CameraFile::Many(cameras) => cameras,
         CameraFile::One(camera) => vec![*camera],

@@ -7,7 +7,7 @@ use rogs_orchestrator::programs::StagePrograms;
 
 use crate::output;
 
-/// JSON schema of manifests, for editors: names, types and meanings of all tables and of the parameters of every stage.
+/// Prints the JSON schema of manifests, for editors: names, types and meanings of all tables and stage parameters.
 ///
 /// An editor with TOML support takes it from a first line `#:schema manifest.schema.json` in the manifest.
 #[derive(Debug, clap::Args)]

@@ -35,7 +35,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     } else {
         output::text(&format!("submitted: {}", submission.ids.join(", ")))?;
         output::note(&format!(
-            "rogs status {} tells how far it is",
+            "rogs status {} shows the progress",
             prepared.plan.run.display()
         ));
     }

@@ -113,7 +113,7 @@ fn manifest_text(folder: &Path, name: &str, [height, width]: [u32; 2]) -> anyhow
          [robot]\nurdf = \"{ROBOT_FOLDER}/{ROBOT_URDF_FILE}\"\n\n\
          [robot.spec]\n{}\n\
          [ingest]\nheight = {height}\nwidth = {width}\n\n\
-         # The checkpoints that come with the program, trained on procedural clips only.\n\
+         # The bundled weights, trained on procedural clips only.\n\
          [weights]\nlift = \"{LIFT_WEIGHTS}\"\nrefine = \"{REFINE_WEIGHTS}\"\n\n\
          [refine]\npreset = \"ci\"\nupdates = 4\n",
         toml::to_string(&spec)?

@@ -10,7 +10,7 @@ use crate::error::{Result, SplatError};
 
 use super::kernels::{WIDE, project, scan, sort};
 
-/// A graphics processor, or what the system offers as one (Mesa's software Vulkan, for example).
+/// A GPU, or what the system offers as one (Mesa's software Vulkan, for example).
 #[derive(Clone)]
 pub struct GpuDevice {
     pub(crate) client: Client,

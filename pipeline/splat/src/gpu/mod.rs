@@ -1,5 +1,5 @@
-//! The rasteriser on a graphics processor (feature `gpu`), through wgpu: Vulkan, Metal or DirectX, nothing needed at build
-//! time. Rules, inputs and results are those of the processor's code; images agree up to rounding.
+//! The rasteriser on a GPU (feature `gpu`), through wgpu: Vulkan, Metal or DirectX, nothing needed at build
+//! time. Rules, inputs and results are those of the CPU's code; images agree up to rounding.
 //!
 //! All views of a group go through each step together: one unit per Gaussian and view projects and counts the tiles of
 //! 8 x 8 pixels that it reaches; a stable radix sort puts entries in order of depth (ties by index); their pairs of tile and

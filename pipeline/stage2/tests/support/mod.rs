@@ -84,7 +84,7 @@ impl Golden {
     pub(crate) fn images(&self, name: &str) -> Vec<Plane> {
         let (shape, values) = &self.arrays[name];
         let [_, channels, height, width] = shape[..] else {
-            panic!("`{name}` is no image")
+            panic!("not an image: `{name}`")
         };
         let area = height * width;
         let view = |data: &[f32]| Plane {

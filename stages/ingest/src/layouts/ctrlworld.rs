@@ -232,7 +232,7 @@ fn resolve_selector(root: &Path, selector: &str) -> StageResult<String> {
             [only] => Ok(only.clone()),
             _ => Err(
                 StageError::bad_params(format!("`{}` holds {} episodes: say which", root.display(), all.len()))
-                    .with_hint("set `episode` to a selector that `rogs-ingest list` prints"),
+                    .with_hint("set `episode` to a selector that `rogs stage ingest list FOLDER` prints"),
             ),
         };
     }

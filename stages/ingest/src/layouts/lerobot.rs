@@ -294,7 +294,7 @@ fn state_entries(dataset: &Dataset, choice: &StateColumns, path: &Path) -> Stage
             .or_else(|| in_state("gripper_position"))
             .ok_or_else(|| {
                 wrong(path, "the data names no gripper state").with_hint(format!(
-                    "set `states.gripper` to the entry of `observation.state` that is the gripper in 0 to 1; it has {}",
+                    "set `ingest.states.gripper` to the entry of `observation.state` with the gripper (0 to 1); it has {}",
                     state.join(", ")
                 ))
             })?,
@@ -330,7 +330,7 @@ fn state_entries(dataset: &Dataset, choice: &StateColumns, path: &Path) -> Stage
         .collect();
     if joints.is_empty() {
         return Err(wrong(path, "the data names no joint states")
-            .with_hint("set `states.joints` to the entries of `observation.state` that are the arm's joints"));
+            .with_hint("set `ingest.states.joints` to the entries of `observation.state` that are the arm's joints"));
     }
     Ok((joints, gripper))
 }

@@ -158,7 +158,7 @@ impl Dataset {
                     self.root.display(),
                     all.len()
                 ))
-                .with_hint("set `episode` to a selector that `rogs-ingest list` prints")),
+                .with_hint("set `episode` to a selector that `rogs stage ingest list FOLDER` prints")),
             };
         }
         let index = selector.strip_prefix("episode_").unwrap_or(selector).parse::<u64>();

@@ -47,7 +47,7 @@ pub(crate) fn open(root: &Path, calibration: Option<&Path>, params: &Params) -> 
     }
     let layout = match params.layout {
         LayoutChoice::Auto => detect(root).ok_or_else(|| {
-            StageError::bad_input(format!("`{}` is no episode folder of a known layout", root.display())).with_hint(
+            StageError::bad_input(format!("not an episode folder of a known layout: `{}`", root.display())).with_hint(
                 "expected `episode.json` (docs/episode-format.md), `annotation/` and `videos/` (DROID, Ctrl-World), or `meta/info.json` (LeRobot)",
             )
         })?,

@@ -236,7 +236,7 @@ fn read_states(
             cell.parse::<f64>().map_err(|_| {
                 wrong(
                     &path,
-                    format!("`{cell}` in column `{}`, row {row} is no number", header[column]),
+                    format!("invalid number `{cell}` in column `{}`, row {row}", header[column]),
                 )
             })
         };
@@ -284,7 +284,7 @@ fn read_tracks(root: &Path, json: &Path, tracks: &EpisodeTracks, frames: u32) ->
     {
         return Err(wrong(
             &camera_path,
-            format!("{} at {index} is no camera index", camera[index]),
+            format!("invalid camera index {} at {index}", camera[index]),
         ));
     }
     if let Some(index) = visible.iter().position(|value| *value != 0.0 && *value != 1.0) {

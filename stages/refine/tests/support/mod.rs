@@ -24,7 +24,7 @@ pub(crate) struct Sizes {
     pub(crate) step: usize,
 }
 
-/// A row count that is no multiple of four, as in the paper.
+/// A row count that is not a multiple of four, as in the paper.
 const SMALL: Sizes = Sizes {
     height: 14,
     width: 20,

@@ -64,7 +64,7 @@ pub(super) fn score_pair(
             let b = RgbView::new(other.height, other.width, other_pixels).map_err(wrong)?;
             let psnr = psnr(&a, &b).map_err(wrong)?;
             if let Some(count) = undefined(other) {
-                return Err(unlike(format!("{count} values of the reference are no finite numbers")));
+                return Err(unlike(format!("{count} values of the reference are not finite")));
             }
             let ssim = match ssim(&a, &b, variant) {
                 Ok(value) => Some(value),
@@ -110,7 +110,7 @@ pub(super) fn score_pair(
         };
         scores
             .notes
-            .push(format!("{count} values of the prediction are no finite numbers: {how}"));
+            .push(format!("{count} values of the prediction are not finite: {how}"));
     }
     for (side, picture) in [("prediction", own), ("reference", other)] {
         scores.notes.extend(clipped(side, picture));
@@ -118,7 +118,7 @@ pub(super) fn score_pair(
     Ok(scores)
 }
 
-/// How many values are no finite numbers, if any.
+/// How many values are not finite, if any.
 fn undefined(picture: &Picture) -> Option<usize> {
     let (Content::Unit(values) | Content::Depth(values)) = &picture.content else {
         return None;

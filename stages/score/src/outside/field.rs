@@ -287,7 +287,7 @@ fn own_pose(file: &ArrayFile) -> Result<Option<Pose<Base, Left>>, OutsideError> 
         translation: [m[3], m[7], m[11]],
     };
     let pose = Pose::from_rigid(&stored).map_err(|_| {
-        let what = "`base_from_field` is no rigid transform (rotation of determinant +1, translation in metres)";
+        let what = "`base_from_field` is not a rigid transform (rotation of determinant +1, translation in metres)";
         OutsideError::file(file.path(), what)
     })?;
     Ok(Some(pose))

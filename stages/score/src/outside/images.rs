@@ -1,4 +1,4 @@
-//! Rendered images of an outside method: what a method that is no field of Gaussians, or has a renderer of its own, hands in.
+//! Rendered images of an outside method: what a method without Gaussians, or with its own renderer, hands in.
 
 use std::collections::BTreeMap;
 use std::path::Path;

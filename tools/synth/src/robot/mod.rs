@@ -1,4 +1,4 @@
-//! The robot: Panda kinematics (the published joint origins) with shells and a two-finger gripper of our own.
+//! The robot: Panda kinematics (the published joint origins) with shells and a two-finger gripper made here.
 
 mod export;
 mod ik;

@@ -267,7 +267,7 @@ fn number(value: Tensor<1>) -> Result<f64> {
     Ok(to_host(value)?.first().copied().map_or(f64::NAN, f64::from))
 }
 
-/// An adapter to go on from, after a look whether it fits the network.
+/// An adapter to continue from, after a check that it fits the network.
 fn started(adapter: Parameters, network: &Stage1) -> Result<Parameters> {
     let blocks = LatentAdapter::new(adapter.scope("adapter"), network.config.width, network.config.heads).blocks();
     for spec in layout::adapter(&network.config, blocks) {

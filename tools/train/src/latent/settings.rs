@@ -27,9 +27,9 @@ pub struct LatentTraining {
     pub seed: u64,
     /// Updates.
     pub steps: u64,
-    /// A checkpoint is written every so many updates.
+    /// Updates from one checkpoint to the next.
     pub checkpoint_every: u64,
-    /// Held-out clips are scored every so many updates.
+    /// Updates from one scoring of held-out clips to the next.
     pub evaluate_every: u64,
     /// Clips that are held out: the last ones by name.
     pub evaluation_clips: usize,

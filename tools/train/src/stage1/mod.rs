@@ -183,7 +183,7 @@ impl Trainer for Stage1Trainer {
         metadata
     }
 
-    // Clips are differentiated side by side on as many threads as there are, on a graphics processor one after the other; their
+    // Clips are differentiated side by side on as many threads as there are, on a GPU one after the other; their
     // gradients are added up in their order.
     fn update(&mut self, batch: &Batch) -> Result<UpdateReport> {
         let differentiated = |index: usize| self.differentiate(&batch.clips[index], index as u64);

@@ -92,7 +92,7 @@ fn bring_into_memory(parameters: &mut Parameters, settings: &OptimiserSettings) 
 }
 
 /// Seeded weights that can learn: in the released network the ray embedding starts at zero on both sides of its norm,
-/// beside a trained encoder; alone, it would get no gradient for ever.
+/// beside a trained encoder; alone, it would get no gradient at all.
 fn from_seed(config: &Stage1Config, seed: u64, device: &Device) -> Result<Stage1> {
     let mut network = seeded::network(config, seed, device)?;
     fresh_fk_branch(&mut network, seed)?;
@@ -120,7 +120,7 @@ fn from_seed(config: &Stage1Config, seed: u64, device: &Device) -> Result<Stage1
     Ok(network)
 }
 
-/// An FK branch that says nothing yet and has its input at hand: the first units carry both signs of the FK displacement
+/// An FK branch that gives zero yet and has its input at hand: the first units carry both signs of the FK displacement
 /// through to the last convolution, which is zero. A branch of seeded units at a high rate dies before it learns.
 fn fresh_fk_branch(network: &mut Stage1, seed: u64) -> Result<()> {
     const CENTRE: usize = 4;

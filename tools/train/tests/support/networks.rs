@@ -1,4 +1,4 @@
-//! A network on disk whose every part is heard.
+//! A network on disk whose every part contributes.
 
 use std::path::{Path, PathBuf};
 

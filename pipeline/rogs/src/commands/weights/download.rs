@@ -64,7 +64,7 @@ pub(super) enum Event {
 }
 
 /// The client: certificates of the web's authorities are built in; every attempt ends after ten minutes at most (and is
-/// then resumed), so that a stalled connection does not hang for ever.
+/// then resumed), so that a stalled connection does not hang forever.
 pub(super) fn client() -> ureq::Agent {
     ureq::Agent::config_builder()
         .user_agent(concat!("rogs/", env!("CARGO_PKG_VERSION")))
@@ -97,7 +97,7 @@ impl Download {
     ///
     /// # Errors
     /// When the destination holds another file, the server does not deliver, the disk fails, or the hash is wrong (nothing
-    /// is kept then). After an interruption what came so far stays, and the next run goes on from there.
+    /// is kept then). After an interruption what came so far stays, and the next run resumes there.
     pub(super) fn run(&self, client: &ureq::Agent, report: &mut dyn FnMut(Event)) -> anyhow::Result<Fetched> {
         let part = with_suffix(&self.destination, ".part");
         let tag = with_suffix(&self.destination, ".part.tag");
@@ -126,7 +126,7 @@ impl Download {
                     if failures >= self.attempts {
                         let there = length(&part);
                         return Err(error.context(format!(
-                            "the download of `{}` broke off at byte {there}; the same command goes on from there",
+                            "the download of `{}` broke off at byte {there}; the same command resumes there",
                             self.url
                         )));
                     }
@@ -140,7 +140,7 @@ impl Download {
         let sha256 = hash(&part)?;
         if !self.expected.matches(&sha256) {
             for file in [&part, &tag] {
-                // Best effort: the hash is what the user must hear of.
+                // Best effort: the hash is what the user must know.
                 let _ = std::fs::remove_file(file);
             }
             bail!(
@@ -238,7 +238,7 @@ impl Download {
         }
         if let Some(total) = total.filter(|&total| total > MOST_BYTES) {
             return Err(Failure::Final(anyhow::anyhow!(
-                "`{}` has {total} bytes, which is not believed",
+                "`{}` has {total} bytes, more than any weights file that this program knows",
                 self.url
             )));
         }
@@ -298,7 +298,7 @@ impl Expected {
     /// From digits that a person or a server gave.
     ///
     /// # Errors
-    /// When these are no hexadecimal digits, or too few to tell files apart.
+    /// When these are not hexadecimal digits, or too few to tell files apart.
     pub(super) fn digits(digits: &str) -> anyhow::Result<Self> {
         let digits = digits.trim().to_ascii_lowercase();
         ensure!(

@@ -92,7 +92,7 @@ fn write(mut stream: TcpStream, answer: Answer, head: bool) {
     }
     text.push_str("\r\n");
     let body = &answer.body[..answer.cut.unwrap_or(answer.body.len())];
-    // A client that has seen enough closes first; that is no failure of the server's.
+    // A client that has seen enough closes first; that is not a failure of the server.
     let _ = stream.write_all(text.as_bytes());
     if !head {
         let _ = stream.write_all(body);
@@ -210,7 +210,7 @@ fn what_came_stays_when_the_attempts_are_used_up_and_the_next_run_goes_on() {
     download.attempts = 1;
     let error = run(&download).unwrap_err().to_string();
     assert!(
-        error.contains("broke off at byte 100000") && error.contains("goes on from there"),
+        error.contains("broke off at byte 100000") && error.contains("resumes there"),
         "{error}"
     );
     assert_eq!(names(folder.path()), ["weights.bin.part", "weights.bin.part.tag"]);
@@ -310,7 +310,7 @@ fn the_servers_own_statement_of_a_hash_is_heard() {
     assert_eq!(
         stated_sha256(&client(), &silent.address),
         None,
-        "an entity tag is no hash"
+        "an entity tag is not a hash"
     );
 }
 

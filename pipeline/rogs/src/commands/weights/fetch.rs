@@ -24,7 +24,7 @@ pub(super) struct Args {
     /// SHA-256 that it must have (hexadecimal, at least the first 8 digits).
     #[arg(long, value_name = "DIGITS")]
     sha256: Option<String>,
-    /// Accept it although nobody says what its SHA-256 is.
+    /// Accept a file whose SHA-256 is unknown.
     #[arg(long, conflicts_with = "sha256")]
     unverified: bool,
     /// Print one JSON value.
@@ -80,7 +80,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
                 output::note(&progress(done, total));
             }
         }
-        Event::Retry(why) => output::note(&format!("  broken off ({why}); going on")),
+        Event::Retry(why) => output::note(&format!("  connection lost ({why}); resuming")),
         Event::Hashing => output::note("  checking its SHA-256"),
     })?;
     if args.json {
@@ -117,8 +117,8 @@ fn expected(
     }
     let digits = stated().with_context(|| {
         format!(
-            "nobody says what the SHA-256 of `{}` is, neither this program nor the server; give it with `--sha256`, or take what \
-             comes with `--unverified`",
+            "the SHA-256 of `{}` is unknown to this program and the server; give it with `--sha256`, or accept \
+             any with `--unverified`",
             file.name
         )
     })?;

@@ -26,11 +26,11 @@ pub(crate) struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum What {
     /// Reads a released file (safetensors, or PyTorch .pth, .pt, .ckpt; f32, bf16 or f16), checks every name and shape, and
-    /// writes our checkpoint.
+    /// writes a checkpoint for rogs.
     Import {
         /// The released file.
         input: PathBuf,
-        /// Where our checkpoint goes.
+        /// Where the checkpoint goes.
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
         /// Configuration whose tensors it must have: of Stage 1, or `resplat-re10k` for a released Stage-2 file.
@@ -69,7 +69,7 @@ enum What {
     },
     /// Folds the low-rank updates of a checkpoint into its weights.
     Merge {
-        /// A checkpoint of ours with LoRA tensors.
+        /// A checkpoint of rogs with LoRA tensors.
         input: PathBuf,
         /// Where the merged one goes.
         #[arg(long, value_name = "FILE")]
@@ -102,7 +102,7 @@ enum What {
         #[arg(long)]
         json: bool,
     },
-    /// Names, shapes and metadata of a safetensors file.
+    /// Lists names, shapes and metadata of a safetensors file.
     List {
         /// The file.
         file: PathBuf,

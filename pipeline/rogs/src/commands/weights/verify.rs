@@ -136,7 +136,7 @@ pub(super) fn run(
             );
         }
         bail!(
-            "`{}` has the weights of no network that this program knows; name the one it should be with `--configuration`",
+            "`{}` holds the weights of an unknown network; name it with `--configuration`",
             file.display()
         );
     };

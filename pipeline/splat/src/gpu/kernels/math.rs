@@ -1,4 +1,4 @@
-//! Arithmetic that all kernels share; the formulas are those of the kernels on the processor.
+//! Arithmetic that all kernels share; the formulas are those of the kernels on the CPU.
 
 use cubecl::prelude::*;
 
