@@ -5,10 +5,10 @@ use serde::{Deserialize, Serialize};
 use super::check::{Check, area, ascending_frames, binary, count, ensure, finite, pose, product};
 use super::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Tracks};
 use crate::error::Result;
+use crate::identity::SchemaId;
 use crate::ids::ClipId;
 use crate::pose::Intrinsics;
 use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
-use crate::identity::SchemaId;
 use crate::record::Record;
 
 /// Images, one chunk per (camera, frame).

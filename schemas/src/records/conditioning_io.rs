@@ -6,9 +6,9 @@ use super::check::{Check, area, ascending_frames, binary, count, ensure, product
 use super::clip::SourceView;
 use super::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use crate::error::Result;
+use crate::identity::SchemaId;
 use crate::ids::ClipId;
 use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
-use crate::identity::SchemaId;
 use crate::record::Record;
 
 /// Supported pixels, one chunk per view.

@@ -7,10 +7,10 @@ use super::check::{Check, area, binary, count, ensure, pose, product};
 use super::clip::SourceView;
 use super::field::{Field, GATE_ATTRIBUTES, GATE_OPACITY, RAW_CHANNELS, TimeSlice, WeightsInfo};
 use crate::error::Result;
+use crate::identity::SchemaId;
 use crate::ids::ClipId;
 use crate::pose::RigidPose;
 use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
-use crate::identity::SchemaId;
 use crate::record::Record;
 
 const POSITION: StreamSpec = floats("position_m", Unit::Metre, Frame::Recon, "");

@@ -7,10 +7,10 @@ use super::check::{Check, binary, count, ensure, product};
 use super::field::WeightsInfo;
 use super::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
 use crate::error::Result;
+use crate::identity::SchemaId;
 use crate::ids::ClipId;
 use crate::key::CacheKey;
 use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
-use crate::identity::SchemaId;
 use crate::record::Record;
 
 /// Which Gaussians have a correction, one chunk per (step, block).

@@ -5,10 +5,10 @@ use serde::{Deserialize, Serialize};
 use super::check::{Check, area, binary, count, ensure, finite, pose, product};
 use super::robot::{NO_LINK, RobotMap, RobotMaps};
 use crate::error::Result;
+use crate::identity::SchemaId;
 use crate::ids::ClipId;
 use crate::pose::RigidPose;
 use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
-use crate::identity::SchemaId;
 use crate::record::Record;
 
 /// Mesh depth, one chunk per map.

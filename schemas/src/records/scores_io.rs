@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use super::check::{Check, area, count};
 use super::scores::{RenderedView, ScoreSheet, Scores};
 use crate::error::Result;
-use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
 use crate::identity::SchemaId;
+use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
 use crate::record::Record;
 
 /// Renders, one chunk per view; views may differ in size.

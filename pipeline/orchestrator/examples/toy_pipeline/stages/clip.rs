@@ -5,12 +5,12 @@ use std::path::PathBuf;
 
 use rogs_orchestrator::stage::StageId;
 use rogs_schemas::protocol::InputDescription;
-use rogs_schemas::{Record, SchemaId};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates};
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps, RobotSpec};
 use rogs_schemas::source::ROBOT_MODEL;
 use rogs_schemas::{ClipId, Intrinsics, RigidPose};
+use rogs_schemas::{Record, SchemaId};
 use rogs_worker::{Context, Stage, StageError, StageResult};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
