@@ -1,4 +1,4 @@
-//! What clips, cameras and frames are called across files and crates.
+//! What clips, cameras and outputs may be called across files and crates.
 
 use std::borrow::Borrow;
 use std::fmt;
@@ -144,54 +144,6 @@ impl PartialEq<&str> for ClipId {
     }
 }
 
-macro_rules! index_newtype {
-    ($(#[$doc:meta])* $name:ident) => {
-        $(#[$doc])*
-        #[derive(
-            Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize, schemars::JsonSchema,
-        )]
-        #[serde(transparent)]
-        pub struct $name(pub u32);
-
-        impl $name {
-            /// The place in an array that has one entry each.
-            #[must_use]
-            pub const fn index(self) -> usize {
-                self.0 as usize
-            }
-
-            /// These numbers, in order.
-            #[must_use]
-            pub fn list(numbers: &[u32]) -> Vec<Self> {
-                numbers.iter().copied().map(Self).collect()
-            }
-        }
-
-        impl fmt::Display for $name {
-            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                fmt::Display::fmt(&self.0, f)
-            }
-        }
-
-        /// As the plain number, since messages show lists of them.
-        impl fmt::Debug for $name {
-            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                fmt::Debug::fmt(&self.0, f)
-            }
-        }
-    };
-}
-
-index_newtype! {
-    /// A camera of a clip: its place in [`Clip::cameras`](crate::records::clip::Clip::cameras).
-    CameraIndex
-}
-
-index_newtype! {
-    /// A frame of a clip, counted from the clip's first one (not from the episode's).
-    FrameIndex
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -226,6 +178,5 @@ mod tests {
         assert_eq!(serde_json::to_string(&id).unwrap(), "\"kitchen-0\"");
         assert_eq!(serde_json::from_str::<ClipId>("\"kitchen-0\"").unwrap(), id);
         assert!(serde_json::from_str::<ClipId>("\"..\"").is_err());
-        assert_eq!(serde_json::to_string(&FrameIndex::list(&[0, 4])).unwrap(), "[0,4]");
     }
 }

@@ -21,7 +21,7 @@ pub use rogs_files as atomic;
 
 pub use error::{Error, Result};
 pub use identity::{FileInfo, SchemaId};
-pub use ids::{CameraIndex, ClipId, FrameIndex};
+pub use ids::ClipId;
 pub use json::{canonical_json, overlay};
 pub use key::{CacheKey, ContentHash, KeyMaterial, Provenance};
 pub use pose::{Intrinsics, RigidPose};
