@@ -3,7 +3,7 @@
 //! A checkpoint is a safetensors file whose metadata says what network it holds (`rogs.kind`, `rogs.configuration`),
 //! whether it was trained (`rogs.trained`) and where it comes from (`rogs.provenance`). It is mapped into memory
 //! ([`TensorFile`]), so that opening one costs nothing and a network can be run without holding all of it; it is written
-//! tensor by tensor ([`write`]), so that it may be larger than memory. Which tensors a network has is not known here.
+//! tensor by tensor ([`write()`]), so that it may be larger than memory. Which tensors a network has is not known here.
 
 mod average;
 mod error;

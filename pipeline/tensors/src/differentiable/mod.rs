@@ -1,7 +1,7 @@
 //! Operations of the autodiff graph whose values and gradients are computed on host slices: what training on a CPU spends
 //! its time with.
 //!
-//! An operation is a pair of functions on slices ([`node::HostOperation`]), which [`node::node`] makes a node of the
+//! An operation is a pair of functions on slices (`HostOperation`), which this module makes a node of the
 //! framework's graph. It keeps its inputs and computes again what it needs of the forward pass. Sums have a fixed order,
 //! whatever the number of threads.
 
