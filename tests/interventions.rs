@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use rogs_needs::needs;
-use rogs_schemas::read_record;
+use rogs_r4c::read_record;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::Field;
 use rogs_weights::{ElementType, TensorSource, write};

@@ -14,7 +14,7 @@ mod support;
 use std::path::Path;
 
 use rogs_needs::needs;
-use rogs_schemas::read_record;
+use rogs_r4c::read_record;
 use rogs_schemas::records::clip::{Clip, time_of_frame};
 use rogs_schemas::records::field::Field;
 use serde_json::Value;

@@ -1,17 +1,13 @@
 //! What was tried: one JSON line per attempt at a unit, in append-only files.
 //!
-//! Nothing decides by these records whether an output is up to date; they tell people what happened and plans how long
+//! Nothing decides by these entries whether an output is up to date; they tell people what happened and plans how long
 //! things take.
 
 use std::collections::BTreeMap;
-use std::io::Write;
-use std::path::{Path, PathBuf};
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::path::PathBuf;
 
-use rogs_files::fault_injection::{self, Operation};
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result};
 use crate::key::CacheKey;
 use crate::protocol::{FailureCode, Job};
 
@@ -99,85 +95,6 @@ pub const LEDGER_FOLDER: &str = "ledger";
 /// Name of the log in a clip's folder.
 pub const LOG_FILE: &str = "log.jsonl";
 
-/// The files of a run folder in which an attempt is noted: the log of its clip and the ledger of who tried.
-#[must_use]
-pub fn files_of(run: &Path, attempt: &Attempt) -> [PathBuf; 2] {
-    [
-        run.join("clips").join(&attempt.clip_id).join(LOG_FILE),
-        run.join(LEDGER_FOLDER).join(format!("{}.jsonl", attempt.worker)),
-    ]
-}
-
-/// This process as [`Attempt::worker`] names it: `HOST-PID`.
-#[must_use]
-pub fn this_worker() -> String {
-    format!("{}-{}", host(), std::process::id())
-}
-
-/// Name of this machine, safe as a part of file names: characters other than `[A-Za-z0-9._-]` become `_`.
-#[must_use]
-pub fn host() -> String {
-    let name = std::fs::read_to_string("/proc/sys/kernel/hostname")
-        .ok()
-        .or_else(|| std::env::var("HOSTNAME").ok())
-        .unwrap_or_default();
-    let safe = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
-    let name: String = (name.trim().chars()).map(|c| if safe(c) { c } else { '_' }).collect();
-    if name.is_empty() { "host".to_owned() } else { name }
-}
-
-/// Now, for [`Attempt::unix_ms`].
-#[must_use]
-pub fn now_ms() -> u64 {
-    SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .map_or(0, |time| time.as_millis() as u64)
-}
-
-/// Appends one attempt to a file as one line in one write, making the file and its folder where needed.
-///
-/// # Errors
-/// When the operating system refuses.
-pub fn append(path: &Path, attempt: &Attempt) -> Result<()> {
-    let io = |source| Error::Io {
-        action: "appending to",
-        path: path.to_owned(),
-        source,
-    };
-    fault_injection::at(Operation::Append, path).map_err(io)?;
-    let mut line = serde_json::to_vec(attempt).map_err(|error| io(std::io::Error::other(error)))?;
-    line.push(b'\n');
-    let open = || std::fs::OpenOptions::new().create(true).append(true).open(path);
-    let mut file = match open() {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-            std::fs::create_dir_all(path.parent().unwrap_or(Path::new("."))).map_err(io)?;
-            open().map_err(io)?
-        }
-        other => other.map_err(io)?,
-    };
-    file.write_all(&line).map_err(io)
-}
-
-/// All attempts in a file, in order. Lines that are cut off (the writer was killed) or of a newer kind are left out; a
-/// file that is not there holds none.
-///
-/// # Errors
-/// When the operating system refuses.
-pub fn read(path: &Path) -> Result<Vec<Attempt>> {
-    match std::fs::read(path) {
-        Ok(bytes) => Ok(bytes
-            .split(|&byte| byte == b'\n')
-            .filter_map(|line| serde_json::from_slice(line).ok())
-            .collect()),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Vec::new()),
-        Err(source) => Err(Error::Io {
-            action: "reading",
-            path: path.to_owned(),
-            source,
-        }),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -188,43 +105,5 @@ mod tests {
             let line = format!("{{\"code\": \"{text}\", \"message\": \"m\"}}");
             assert_eq!(serde_json::from_str::<Failure>(&line).unwrap().code, code);
         }
-    }
-
-    #[test]
-    fn a_torn_line_costs_only_itself() {
-        let path = std::env::temp_dir().join(format!("rogs-ledger-{}/a/log.jsonl", std::process::id()));
-        assert_eq!(read(&path).unwrap(), []);
-        let mut attempt = Attempt {
-            unix_ms: 1,
-            clip_id: "clip".into(),
-            stage: "lift".into(),
-            output: "clips/clip/field-1.r4c".into(),
-            key: CacheKey::default(),
-            outcome: Outcome::Failed,
-            seconds: BTreeMap::new(),
-            peak_rss_bytes: 0,
-            threads: 0,
-            output_bytes: 0,
-            warnings: vec![],
-            failure: Some(Failure {
-                code: FailureCode::Io,
-                message: "disk".into(),
-                hint: None,
-            }),
-            stderr: vec![],
-            worker: "host-1".into(),
-        };
-        append(&path, &attempt).unwrap();
-        std::fs::OpenOptions::new()
-            .append(true)
-            .open(&path)
-            .unwrap()
-            .write_all(b"{\"unix_ms\": 2, \"cl\n")
-            .unwrap();
-        attempt.unix_ms = 3;
-        append(&path, &attempt).unwrap();
-        let times: Vec<u64> = read(&path).unwrap().iter().map(|attempt| attempt.unix_ms).collect();
-        assert_eq!(times, [1, 3]);
-        std::fs::remove_dir_all(path.ancestors().nth(2).unwrap()).unwrap();
     }
 }

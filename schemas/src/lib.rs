@@ -1,28 +1,39 @@
-//! Everything that lies on disk between the stages of rogs: the chunk container (`.r4c`), the records in it, cache keys
-//! and provenance, and the worker protocol. This crate knows no other crate of the workspace.
+//! What the parts of rogs say to each other, as plain data: the records that pass from stage to stage with their checks,
+//! cache keys and provenance, ids, poses and units, the worker protocol and the entries of the ledger. Nothing here opens
+//! a file (`rogs_r4c` does), and this crate knows no other crate of the workspace.
+//!
+//! ```
+//! use rogs_schemas::records::robot::{RobotMaps, RobotSpec};
+//!
+//! // A record is checked before it is written and after it is read.
+//! let maps = RobotMaps {
+//!     clip_id: "kitchen-0".parse()?,
+//!     link_names: vec![RobotSpec::default().base_link],
+//!     base_from_link: vec![],
+//!     base_from_camera: vec![],
+//!     recon_from_base: rogs_schemas::RigidPose::IDENTITY,
+//!     tool_m: vec![],
+//!     height: 288,
+//!     width: 512,
+//!     maps: vec![],
+//! };
+//! assert_eq!(maps.check(), Err("there are no link poses".to_owned()));
+//! # Ok::<(), rogs_schemas::ids::InvalidName>(())
+//! ```
 
 pub mod episode;
-pub mod error;
 mod identity;
 pub mod ids;
 pub mod json;
 pub mod key;
 pub mod ledger;
-mod memory;
 pub mod pose;
 pub mod protocol;
-pub mod r4c;
-pub mod record;
 pub mod records;
-pub mod source;
 pub mod units;
 
-pub use rogs_files as atomic;
-
-pub use error::{Error, Result};
 pub use identity::{FileInfo, SchemaId};
 pub use ids::ClipId;
 pub use json::{canonical_json, overlay};
 pub use key::{CacheKey, ContentHash, KeyMaterial, Provenance};
 pub use pose::{Intrinsics, RigidPose};
-pub use record::{Record, read_record, write_record};

@@ -160,7 +160,7 @@ fn h264_whose_pictures_are_cut_or_damaged_is_refused() {
 fn assert_aligned(cases: &Cases, clip: &str) {
     let rgb = |clip: &str| {
         let path = cases.workspace.path(&format!("run/clips/{clip}/clip.r4c"));
-        let (clip, _) = rogs_schemas::read_record::<rogs_schemas::records::clip::Clip>(&path).unwrap();
+        let (clip, _) = rogs_r4c::read_record::<rogs_schemas::records::clip::Clip>(&path).unwrap();
         clip.cameras[0].rgb.clone().unwrap()
     };
     let (good, frames) = (rgb(GOOD), rgb(clip));

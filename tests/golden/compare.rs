@@ -3,14 +3,13 @@
 use std::fmt::Debug;
 use std::path::Path;
 
-use rogs_schemas::r4c::{Dtype, Reader, StreamInfo};
+use rogs_r4c::{Dtype, Reader, Record, StreamInfo, read_record};
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::Scores;
-use rogs_schemas::{Record, read_record};
 
 /// How far values may lie apart on a machine whose instructions round otherwise. Integers are exact, but for `pixels`.
 #[derive(Clone, Copy)]

@@ -129,7 +129,7 @@ impl Case {
         }
         let scratch = tempfile::tempdir().unwrap();
         let made = scratch.path().join(self.output);
-        let params = rogs_schemas::r4c::read_header(&self.golden()).unwrap();
+        let params = rogs_r4c::read_header(&self.golden()).unwrap();
         let params = params.info.provenance.material.params;
         let mut command = Command::new(ROGS);
         command.args([

@@ -124,7 +124,7 @@ fn fill(plan: &Plan) -> Anyhow<()> {
                     summary: sheet(&plan.clips[clip].id),
                     renders: vec![],
                 };
-                rogs_schemas::write_record(
+                rogs_r4c::write_record(
                     &plan.run.join(plan.output(WorkUnit { clip, node }, &keys)),
                     &record,
                     &provenance,

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use rogs_schemas::r4c::{FileHeader, read_header};
+use rogs_r4c::{FileHeader, read_header};
 use serde::Serialize;
 
 use crate::error::{Error, Result, io};

@@ -110,8 +110,8 @@ impl Error {
     }
 }
 
-impl From<rogs_schemas::Error> for Error {
-    fn from(error: rogs_schemas::Error) -> Self {
+impl From<rogs_r4c::Error> for Error {
+    fn from(error: rogs_r4c::Error) -> Self {
         Self::Schemas(with_causes(&error))
     }
 }

@@ -69,7 +69,7 @@ impl Plan {
             OutputState::UpToDate => return None,
             OutputState::Missing => Reason::Missing,
             OutputState::Damaged(what) => Reason::Damaged { what },
-            OutputState::Stale(_) => match rogs_schemas::r4c::read_header(&path) {
+            OutputState::Stale(_) => match rogs_r4c::read_header(&path) {
                 Ok(header) => Reason::Stale {
                     changes: self.changes(unit, keys, &header.info.provenance.material),
                 },

@@ -4,8 +4,9 @@ use std::collections::{HashMap, HashSet};
 use std::io::BufRead;
 use std::path::{Path, PathBuf};
 
+use rogs_r4c::ledger;
 use rogs_schemas::CacheKey;
-use rogs_schemas::ledger::{self, Attempt, LEDGER_FOLDER, Outcome};
+use rogs_schemas::ledger::{Attempt, LEDGER_FOLDER, Outcome};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Result, io};

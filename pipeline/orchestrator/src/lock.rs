@@ -4,7 +4,7 @@ use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Read, Seek, Write};
 use std::path::Path;
 
-use rogs_schemas::ledger::host;
+use rogs_r4c::ledger::host;
 
 use crate::error::{Error, Result, io};
 

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use rogs_schemas::ledger::{self, Attempt, LOG_FILE, Outcome};
+use rogs_r4c::ledger;
+use rogs_schemas::ledger::{Attempt, LOG_FILE, Outcome};
 
 use crate::error::Result;
 use crate::plan::read_plan;

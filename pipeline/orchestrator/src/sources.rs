@@ -6,8 +6,8 @@ use std::sync::Mutex;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use rayon::prelude::*;
+use rogs_r4c::source::{combine, hash_file, source_files};
 use rogs_schemas::ContentHash;
-use rogs_schemas::source::{combine, hash_file, source_files};
 use serde::{Deserialize, Serialize};
 
 use crate::error::Result;
@@ -102,7 +102,7 @@ impl SourceCache {
         Ok(hash)
     }
 
-    /// Content hash of a whole source: the same as `rogs_schemas::source::hash_source`.
+    /// Content hash of a whole source: the same as `rogs_r4c::source::hash_source`.
     ///
     /// # Errors
     /// When something in it cannot be read.

@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
 
-use rogs_schemas::source::ROBOT_MODEL;
+use rogs_r4c::source::ROBOT_MODEL;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

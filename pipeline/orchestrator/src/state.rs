@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use rayon::prelude::*;
-use rogs_schemas::{CacheKey, Error};
+use rogs_r4c::Error;
+use rogs_schemas::CacheKey;
 
 use crate::plan::{KeyMaker, Plan, WorkUnit};
 
@@ -23,16 +24,16 @@ pub enum OutputState {
 /// Looks at an output: checks everything but its chunks.
 #[must_use]
 pub fn output_state(path: &Path, key: CacheKey) -> OutputState {
-    state_of(key, rogs_schemas::r4c::read_header(path).map(|header| header.key))
+    state_of(key, rogs_r4c::read_header(path).map(|header| header.key))
 }
 
 /// Looks at an output more quickly: whether it is finished, as long as it should be, and has the key.
 #[must_use]
 pub fn output_key_state(path: &Path, key: CacheKey) -> OutputState {
-    state_of(key, rogs_schemas::r4c::read_key(path))
+    state_of(key, rogs_r4c::read_key(path))
 }
 
-fn state_of(key: CacheKey, found: rogs_schemas::Result<CacheKey>) -> OutputState {
+fn state_of(key: CacheKey, found: rogs_r4c::Result<CacheKey>) -> OutputState {
     match found {
         Ok(found) if found == key => OutputState::UpToDate,
         Ok(found) => OutputState::Stale(found),

@@ -44,7 +44,7 @@ fn verify_plan(plan: &Plan) -> Verification {
         let states = plan.clip_states(clip);
         let unit = |node: usize| {
             let output = plan.output(WorkUnit { clip, node }, &keys);
-            let what = match rogs_schemas::r4c::verify(&plan.run.join(&output)) {
+            let what = match rogs_r4c::verify(&plan.run.join(&output)) {
                 _ if states[node] == crate::state::OutputState::Missing => return None,
                 Ok(header) if header.key == keys[node].key => String::new(),
                 Ok(header) => format!("it has key {}, the plan says {}", header.key, keys[node].key),

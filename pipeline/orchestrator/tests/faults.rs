@@ -301,7 +301,7 @@ fn a_clock_that_went_back_changes_nothing() {
         }),
         ..one.clone()
     };
-    rogs_schemas::ledger::append(&run.join("ledger/future.jsonl"), &future).unwrap();
+    rogs_r4c::ledger::append(&run.join("ledger/future.jsonl"), &future).unwrap();
     let stamp = |path: &Path, time: SystemTime| {
         let file = std::fs::File::options().append(true).open(path).unwrap();
         file.set_modified(time).unwrap();

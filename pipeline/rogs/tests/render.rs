@@ -13,11 +13,12 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use rogs_field::read_ply_file;
+use rogs_r4c::write_record;
+use rogs_schemas::RigidPose;
 use rogs_schemas::key::{KeyMaterial, Provenance};
 use rogs_schemas::records::clip::SourceView;
 use rogs_schemas::records::field::{Field, TimeSlice, WeightsInfo};
 use rogs_schemas::records::robot::NO_LINK;
-use rogs_schemas::{RigidPose, write_record};
 use rogs_splat::Colour;
 use serde_json::Value;
 

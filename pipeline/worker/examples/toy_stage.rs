@@ -13,10 +13,11 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
+use rogs_r4c::Record;
 use rogs_schemas::ClipId;
+use rogs_schemas::SchemaId;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
-use rogs_schemas::{Record, SchemaId};
 use rogs_worker::{Context, Stage, StageError, StageResult, stage_main};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
-use rogs_schemas::ledger::{self, Attempt, Failure, Outcome, PlannedUnit};
+use rogs_r4c::ledger;
+use rogs_schemas::ledger::{Attempt, Failure, Outcome, PlannedUnit};
 use rogs_schemas::protocol::{FailureCode, InputDescription};
 
 use crate::error::{StageError, StageResult};
@@ -149,7 +150,7 @@ fn missing_input<S: Stage>(unit: &PlannedUnit) -> Option<String> {
 }
 
 fn up_to_date(unit: &PlannedUnit) -> bool {
-    rogs_schemas::r4c::read_header(&unit.job.output).is_ok_and(|header| header.key == unit.job.key)
+    rogs_r4c::read_header(&unit.job.output).is_ok_and(|header| header.key == unit.job.key)
 }
 
 fn shard_index(text: &str) -> StageResult<u32> {

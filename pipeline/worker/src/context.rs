@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use rogs_r4c::Record;
 use rogs_schemas::key::{CacheKey, ContentHash, Provenance};
-use rogs_schemas::record::Record;
 
 use crate::error::{StageError, StageResult};
 use crate::observer::Observer;
@@ -86,7 +86,7 @@ impl Context<'_> {
     /// # Errors
     /// When it is missing or damaged, or is not the file that the plan names by its key.
     pub fn read<T: Record>(&mut self, role: &str) -> StageResult<T> {
-        let (record, info) = rogs_schemas::read_record::<T>(self.input(role)?)?;
+        let (record, info) = rogs_r4c::read_record::<T>(self.input(role)?)?;
         let planned = self
             .provenance
             .material
@@ -120,7 +120,7 @@ impl Context<'_> {
             return Err(StageError::internal("the stage wrote its output twice"));
         }
         let start = Instant::now();
-        let info = rogs_schemas::write_record(self.output, record, &self.provenance)?;
+        let info = rogs_r4c::write_record(self.output, record, &self.provenance)?;
         *self.seconds.entry("write".to_owned()).or_default() += start.elapsed().as_secs_f64();
         self.written = Some(info.content);
         Ok(())

@@ -67,10 +67,10 @@ impl StageError {
     }
 }
 
-impl From<rogs_schemas::Error> for StageError {
-    fn from(error: rogs_schemas::Error) -> Self {
+impl From<rogs_r4c::Error> for StageError {
+    fn from(error: rogs_r4c::Error) -> Self {
         let (code, hint) = match &error {
-            rogs_schemas::Error::Io { source, .. } => classify_io(source),
+            rogs_r4c::Error::Io { source, .. } => classify_io(source),
             _ => (FailureCode::BadInput, None),
         };
         let mut message = error.to_string();

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
+use rogs_r4c::source::hash_source;
 use rogs_schemas::ids::safe_name;
 use rogs_schemas::key::KeyMaterial;
 use rogs_schemas::protocol::Job;
-use rogs_schemas::source::hash_source;
 use serde_json::Value;
 
 use crate::error::{StageError, StageResult};
@@ -59,7 +59,7 @@ fn job_of<S: Stage>(arguments: &OneArguments) -> StageResult<Job> {
             continue;
         };
         let id = if input.is_record() {
-            rogs_schemas::r4c::Reader::open(path)?.provenance().key().to_string()
+            rogs_r4c::Reader::open(path)?.provenance().key().to_string()
         } else {
             hash_source(&input.role, path)?.to_string()
         };

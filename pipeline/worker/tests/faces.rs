@@ -12,9 +12,9 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
+use rogs_r4c::Record as _;
 use rogs_schemas::key::KeyMaterial;
 use rogs_schemas::protocol::{Description, Event, FailureCode, Job};
-use rogs_schemas::record::Record as _;
 use rogs_schemas::records::scores::Scores;
 use serde_json::json;
 
@@ -151,7 +151,7 @@ fn warnings(event: Event) -> Vec<String> {
 }
 
 fn method(path: &Path) -> String {
-    rogs_schemas::read_record::<Scores>(path).unwrap().0.summary.method
+    rogs_r4c::read_record::<Scores>(path).unwrap().0.summary.method
 }
 
 #[test]
@@ -211,7 +211,7 @@ fn outputs_carry_the_provenance_of_the_plan_and_of_what_was_read() {
     worker.event();
     let first = folder.job(1, "first");
     worker.run(&first);
-    let (_, before) = rogs_schemas::read_record::<Scores>(&first.output).unwrap();
+    let (_, before) = rogs_r4c::read_record::<Scores>(&first.output).unwrap();
     assert_eq!(before.provenance.material, first.material);
     std::fs::rename(&first.output, folder.path("before.r4c")).unwrap();
 
@@ -220,7 +220,7 @@ fn outputs_carry_the_provenance_of_the_plan_and_of_what_was_read() {
     second.material.inputs.insert("before".into(), first.key.to_string());
     second.key = second.material.key();
     worker.run(&second);
-    let (record, info) = rogs_schemas::read_record::<Scores>(&second.output).unwrap();
+    let (record, info) = rogs_r4c::read_record::<Scores>(&second.output).unwrap();
     assert_eq!(record.summary.method, "first second");
     assert_eq!(info.provenance.input_content["before"], before.content);
 

@@ -1,13 +1,16 @@
-//! Checks shared by the records; each returns what is wrong, in words.
+//! Checks shared by the records and by whoever reads them from files; each returns what is wrong, in words.
 
 /// Result of a check.
-pub(crate) type Check = Result<(), String>;
+pub type Check = Result<(), String>;
 
 /// Largest image side, pixels.
 const MAX_SIDE: u32 = 16_384;
 
 /// A number of things that must agree.
-pub(crate) fn count(what: &str, found: usize, expected: usize) -> Check {
+///
+/// # Errors
+/// When they differ.
+pub fn count(what: &str, found: usize, expected: usize) -> Check {
     if found == expected {
         Ok(())
     } else {
@@ -16,12 +19,18 @@ pub(crate) fn count(what: &str, found: usize, expected: usize) -> Check {
 }
 
 /// A condition with its message.
-pub(crate) fn ensure(condition: bool, message: impl FnOnce() -> String) -> Check {
+///
+/// # Errors
+/// The message, when it does not hold.
+pub fn ensure(condition: bool, message: impl FnOnce() -> String) -> Check {
     if condition { Ok(()) } else { Err(message()) }
 }
 
 /// Image sides between 1 and a generous limit; returns the number of pixels.
-pub(crate) fn area(height: u32, width: u32) -> Result<usize, String> {
+///
+/// # Errors
+/// When a side is 0 or beyond the limit.
+pub fn area(height: u32, width: u32) -> Result<usize, String> {
     let fits = |side: u32| (1..=MAX_SIDE).contains(&side);
     ensure(fits(height) && fits(width), || {
         format!("an image of {width}x{height} pixels is impossible")
@@ -30,7 +39,10 @@ pub(crate) fn area(height: u32, width: u32) -> Result<usize, String> {
 }
 
 /// Clip frames: strictly ascending and below the frame count.
-pub(crate) fn ascending_frames(what: &str, frames: &[u32], frame_count: usize) -> Check {
+///
+/// # Errors
+/// When they do not.
+pub fn ascending_frames(what: &str, frames: &[u32], frame_count: usize) -> Check {
     let sorted = frames.is_sorted_by(|a, b| a < b);
     ensure(
         sorted && frames.last().is_none_or(|&last| (last as usize) < frame_count),
@@ -39,7 +51,10 @@ pub(crate) fn ascending_frames(what: &str, frames: &[u32], frame_count: usize) -
 }
 
 /// Finite numbers.
-pub(crate) fn finite(what: &str, values: &[f64]) -> Check {
+///
+/// # Errors
+/// The first that is not.
+pub fn finite(what: &str, values: &[f64]) -> Check {
     match values.iter().position(|value| !value.is_finite()) {
         None => Ok(()),
         Some(index) => Err(format!("{what} is {} at index {index}", values[index])),
@@ -47,7 +62,10 @@ pub(crate) fn finite(what: &str, values: &[f64]) -> Check {
 }
 
 /// Bytes that are 0 or 1.
-pub(crate) fn binary(what: &str, values: &[u8]) -> Check {
+///
+/// # Errors
+/// The first that is neither.
+pub fn binary(what: &str, values: &[u8]) -> Check {
     match values.iter().position(|&value| value > 1) {
         None => Ok(()),
         Some(index) => Err(format!("{what} is {} at index {index}, expected 0 or 1", values[index])),
@@ -55,7 +73,10 @@ pub(crate) fn binary(what: &str, values: &[u8]) -> Check {
 }
 
 /// A product of counts from a file; an error instead of an overflow.
-pub(crate) fn product(what: &str, factors: &[usize]) -> Result<usize, String> {
+///
+/// # Errors
+/// When it overflows.
+pub fn product(what: &str, factors: &[usize]) -> Result<usize, String> {
     let product = factors
         .iter()
         .try_fold(1usize, |product, &factor| product.checked_mul(factor));
@@ -63,7 +84,16 @@ pub(crate) fn product(what: &str, factors: &[usize]) -> Result<usize, String> {
 }
 
 /// A finite pose.
-pub(crate) fn pose(what: &str, pose: &crate::pose::RigidPose) -> Check {
+///
+/// # Errors
+/// The first number that is not finite.
+pub fn pose(what: &str, pose: &crate::pose::RigidPose) -> Check {
     finite(what, &pose.rotation)?;
     finite(what, &pose.translation)
+}
+
+/// How many flags are set.
+#[must_use]
+pub fn nonzero(flags: &[u8]) -> usize {
+    flags.iter().filter(|&&flag| flag != 0).count()
 }

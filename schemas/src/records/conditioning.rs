@@ -1,7 +1,8 @@
 //! FK conditioning maps kappa, stored sparse and lossless (`docs/spec/stage1.md` section 11).
 
+use super::check::{Check, area, ascending_frames, binary, count, ensure, product};
+use super::clip::SourceView;
 use crate::ids::ClipId;
-use crate::records::clip::SourceView;
 
 /// Channels of a dense conditioning map: support, mesh depth (m), FK displacement x, y, z (iu), availability, prior.
 pub const KAPPA_CHANNELS: usize = 7;
@@ -105,5 +106,47 @@ impl Conditioning {
             }
         }
         dense
+    }
+}
+
+impl Conditioning {
+    /// The arrays agree with the counts, and every number is possible.
+    ///
+    /// # Errors
+    /// What contradicts what, in words.
+    pub fn check(&self) -> Check {
+        let area = area(self.height, self.width)?;
+        let queries = self.query_frames.len();
+        ascending_frames("query frames", &self.query_frames, usize::MAX)?;
+        count("view maps", self.view_maps.len(), self.views.len())?;
+        for (number, view) in self.view_maps.iter().enumerate() {
+            let here = |what: String| format!("view {number}: {what}");
+            let ViewConditioning {
+                pixels,
+                link,
+                depth_m,
+                displacement_iu,
+                available,
+                prior: _,
+            } = view;
+            let support = pixels.len();
+            let inside = pixels.is_sorted_by(|a, b| a < b) && pixels.last().is_none_or(|&last| (last as usize) < area);
+            ensure(inside, || here(format!("pixels do not ascend below {area}")))?;
+            count("link ids", link.len(), support).map_err(here)?;
+            count("mesh depth", depth_m.len(), support).map_err(here)?;
+            count(
+                "displacements",
+                displacement_iu.len(),
+                product("displacements", &[queries, support, 3])?,
+            )
+            .map_err(here)?;
+            count("availability", available.len(), queries).map_err(here)?;
+            binary("availability", available).map_err(here)?;
+            let finite = |values: &[f32]| values.iter().all(|value| value.is_finite());
+            ensure(finite(depth_m) && finite(displacement_iu), || {
+                here("a depth or displacement is not finite".into())
+            })?;
+        }
+        Ok(())
     }
 }

@@ -2,9 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::check::{Check, area, binary, count, ensure, nonzero, pose, product};
+use super::clip::SourceView;
 use crate::ids::ClipId;
 use crate::pose::RigidPose;
-use crate::records::clip::SourceView;
 
 /// Raw attributes per Gaussian: colour 3, scale 3, rotation (w, x, y, z) 4, opacity 1, before activation.
 pub const RAW_CHANNELS: usize = 11;
@@ -106,4 +107,67 @@ impl Field {
     pub fn slice_at(&self, time: f64) -> Option<&TimeSlice> {
         self.slices.iter().find(|slice| slice.time == time)
     }
+}
+
+impl Field {
+    /// The arrays agree with the counts, and every number is possible.
+    ///
+    /// # Errors
+    /// What contradicts what, in words.
+    pub fn check(&self) -> Check {
+        let total = product("Gaussians", &[area(self.height, self.width)?, self.views.len()])?;
+        ensure(self.frame_count > 0, || "the clip has no frames".into())?;
+        ensure(self.views.iter().all(|view| view.frame < self.frame_count), || {
+            format!("a source view lies beyond the {} frames", self.frame_count)
+        })?;
+        pose("recon_from_base", &self.recon_from_base)?;
+        count("positions", self.position_m.len(), 3 * total)?;
+        count("base attributes", self.base_raw.len(), RAW_CHANNELS * total)?;
+        count("support", self.support.len(), total)?;
+        binary("support", &self.support)?;
+        count("link ids", self.link.len(), total)?;
+        count("scale caps", self.scale_cap_iu.len(), total)?;
+        ensure(self.scale_cap_iu.iter().all(|cap| *cap >= 0.0), || {
+            "a scale cap is negative or NaN".into()
+        })?;
+        ensure(self.slices.is_sorted_by(|a, b| a.time < b.time), || {
+            "times do not ascend".into()
+        })?;
+        for slice in &self.slices {
+            let here = |what: String| format!("time {}: {what}", slice.time);
+            ensure((0.0..=1.0).contains(&slice.time), || here("it is not in 0 to 1".into()))?;
+            count("displacements", slice.displacement_m.len(), 3 * total).map_err(here)?;
+            count("gates", slice.gate.len(), total).map_err(here)?;
+            ensure(
+                slice.gate.iter().all(|&gate| gate <= GATE_ATTRIBUTES | GATE_OPACITY),
+                || here("unknown gate bit".into()),
+            )?;
+            count(
+                "query-time attributes",
+                slice.moving_raw.len(),
+                RAW_CHANNELS * nonzero(&slice.gate),
+            )
+            .map_err(here)?;
+        }
+        check_arrays(&self.query_state)
+    }
+}
+
+/// Every array has as many values as its shape says.
+///
+/// # Errors
+/// Which has not.
+pub fn check_arrays(arrays: &[NamedArray]) -> Check {
+    arrays
+        .iter()
+        .try_for_each(|array| count(&array.name, array.data.len(), array_length(&array.name, &array.shape)?))
+}
+
+/// Number of values of an array of this shape.
+///
+/// # Errors
+/// When it is too large for this machine; the message begins with `name`.
+pub fn array_length(name: &str, shape: &[u32]) -> Result<usize, String> {
+    let dims: Vec<usize> = shape.iter().map(|&dim| dim as usize).collect();
+    product(name, &dims)
 }

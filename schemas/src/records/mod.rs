@@ -1,16 +1,9 @@
-//! The records that pass from stage to stage, one module each.
+//! The records that pass from stage to stage, one module each, with their checks.
 
-mod arrays_io;
-mod check;
+pub mod check;
 pub mod clip;
-mod clip_io;
 pub mod conditioning;
-mod conditioning_io;
 pub mod field;
-mod field_io;
 pub mod refinement;
-mod refinement_io;
 pub mod robot;
-mod robot_io;
 pub mod scores;
-mod scores_io;

@@ -2,9 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::check::{Check, binary, count, ensure, nonzero};
+use super::field::{NamedArray, WeightsInfo, check_arrays};
 use crate::ids::ClipId;
 use crate::key::CacheKey;
-use crate::records::field::NamedArray;
 
 /// Residual channels per Gaussian: position 3, scale 3, rotation 4, opacity 1, SH 48 (16 of R, then G, then B).
 pub const RESIDUAL_CHANNELS: usize = 59;
@@ -35,7 +36,7 @@ pub struct Refinement {
     /// Preset name: `paper`, `cpu`, `ci`.
     pub preset: String,
     /// What the weights were that made it.
-    pub weights: crate::records::field::WeightsInfo,
+    pub weights: WeightsInfo,
     /// How the scale residuals are meant.
     pub scale_residual: ScaleResidual,
     /// Accumulated corrections after some updates, ascending; the last is the result, the others are kept on request.
@@ -54,4 +55,37 @@ pub struct RefinementStep {
     /// Corrections of the touched Gaussians in index order: position in METRES (bounded by 0.05 m), the others in the
     /// Stage-1 pre-activation parameterisation (`docs/spec/stage2.md` section B.2). `[M, RESIDUAL_CHANNELS]`
     pub values: Vec<f32>,
+}
+
+impl Refinement {
+    /// The arrays agree with the counts, and every number is possible.
+    ///
+    /// # Errors
+    /// What contradicts what, in words.
+    pub fn check(&self) -> Check {
+        ensure(self.steps.is_sorted_by(|a, b| a.update < b.update), || {
+            "steps do not ascend".into()
+        })?;
+        ensure(self.steps.last().is_none_or(|last| last.update == self.updates), || {
+            format!("the last step is not update {}", self.updates)
+        })?;
+        for step in &self.steps {
+            let here = |what: String| format!("update {}: {what}", step.update);
+            ensure(step.touched.len() as u64 == self.gaussian_count, || {
+                here(format!(
+                    "{} flags for {} Gaussians",
+                    step.touched.len(),
+                    self.gaussian_count
+                ))
+            })?;
+            binary("touched", &step.touched).map_err(here)?;
+            count(
+                "corrections",
+                step.values.len(),
+                RESIDUAL_CHANNELS * nonzero(&step.touched),
+            )
+            .map_err(here)?;
+        }
+        check_arrays(&self.resume_state)
+    }
 }

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::check::{Check, area, binary, count, ensure, finite, pose};
 use crate::ids::ClipId;
 use crate::pose::RigidPose;
 
@@ -81,5 +82,64 @@ impl Default for RobotSpec {
             exclude_links: vec!["*_sc".into(), "camera_mount_link".into()],
             collision_links: vec!["panda_link*".into()],
         }
+    }
+}
+
+impl RobotMaps {
+    /// The arrays agree with the counts, and every number is possible.
+    ///
+    /// # Errors
+    /// What contradicts what, in words.
+    pub fn check(&self) -> Check {
+        let area = area(self.height, self.width)?;
+        let links = self.link_names.len();
+        ensure((1..=usize::from(NO_LINK)).contains(&links), || format!("{links} links"))?;
+        let frames = self.base_from_link.len() / links;
+        ensure(frames > 0, || "there are no link poses".into())?;
+        count("link poses", self.base_from_link.len(), frames * links)?;
+        ensure(self.base_from_camera.len().is_multiple_of(frames), || {
+            format!("{} camera poses for {frames} frames", self.base_from_camera.len())
+        })?;
+        let cameras = self.base_from_camera.len() / frames;
+        self.base_from_link
+            .iter()
+            .try_for_each(|item| pose("a link pose", item))?;
+        self.base_from_camera
+            .iter()
+            .try_for_each(|item| pose("a camera pose", item))?;
+        pose("recon_from_base", &self.recon_from_base)?;
+        count("tool positions", self.tool_m.len(), 3 * frames)?;
+        finite("a tool position", &self.tool_m)?;
+        let ascending = self.maps.is_sorted_by(|a, b| (a.camera, a.frame) < (b.camera, b.frame));
+        ensure(ascending, || "maps are not in camera-major order".into())?;
+        for map in &self.maps {
+            let RobotMap {
+                camera,
+                frame,
+                depth_m,
+                link,
+                support,
+            } = map;
+            let here = |what: String| format!("map of camera {camera}, frame {frame}: {what}");
+            ensure((*camera as usize) < cameras && (*frame as usize) < frames, || {
+                here(format!("there are {cameras} cameras and {frames} frames"))
+            })?;
+            for (what, length) in [
+                ("depth", depth_m.len()),
+                ("link", link.len()),
+                ("support", support.len()),
+            ] {
+                count(what, length, area).map_err(here)?;
+            }
+            binary("support", support).map_err(here)?;
+            ensure(
+                link.iter().all(|&link| link == NO_LINK || usize::from(link) < links),
+                || here(format!("a link id is not among the {links} links")),
+            )?;
+            ensure(depth_m.iter().all(|depth| depth.is_finite() && *depth >= 0.0), || {
+                here("a depth is negative or not finite".into())
+            })?;
+        }
+        Ok(())
     }
 }

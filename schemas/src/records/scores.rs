@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::check::{Check, area, count};
+use super::field::WeightsInfo;
 use crate::ids::ClipId;
 
 /// Written by `score`. A metric that cannot be measured is `None`, never 0 (`docs/spec/scoring.md` section 11).
@@ -27,7 +29,7 @@ pub struct ScoreSheet {
     /// Why LPIPS is missing, if it is.
     pub lpips_note: Option<String>,
     /// What the weights behind the field were.
-    pub weights: Vec<crate::records::field::WeightsInfo>,
+    pub weights: Vec<WeightsInfo>,
     /// Per (camera, query frame).
     pub images: Vec<ImageScore>,
     /// Per (anchor, query frame): displacement errors.
@@ -108,4 +110,20 @@ pub struct RenderedView {
     pub rgb: Vec<u8>,
     /// Expected camera-z depth, metres, 0 where nothing was hit. `[H, W]`
     pub depth_m: Vec<f32>,
+}
+
+impl Scores {
+    /// The arrays agree with the counts, and every number is possible.
+    ///
+    /// # Errors
+    /// What contradicts what, in words.
+    pub fn check(&self) -> Check {
+        for view in &self.renders {
+            let area = area(view.height, view.width)?;
+            let here = |what: String| format!("render of `{}` at frame {}: {what}", view.camera, view.frame);
+            count("rgb", view.rgb.len(), 3 * area).map_err(here)?;
+            count("depth", view.depth_m.len(), area).map_err(here)?;
+        }
+        Ok(())
+    }
 }

@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use rogs_r4c::Record;
+use rogs_schemas::SchemaId;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::robot::RobotMaps;
-use rogs_schemas::{Record, SchemaId};
 use rogs_worker::{Context, Stage, StageError, StageResult};
 
 use crate::build::{Params, build};

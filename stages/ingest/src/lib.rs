@@ -25,10 +25,11 @@ mod video_libav;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use rogs_r4c::Record;
 use rogs_schemas::ClipId;
+use rogs_schemas::SchemaId;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::Clip;
-use rogs_schemas::{Record, SchemaId};
 use rogs_worker::{Context, Stage, StageError, StageResult};
 
 pub use listing::{EpisodeListing, list_episodes};

@@ -20,7 +20,7 @@ mod weights;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use rogs_schemas::Record;
+use rogs_r4c::Record;
 use rogs_schemas::SchemaId;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::Clip;

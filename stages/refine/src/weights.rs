@@ -71,7 +71,7 @@ fn from_file(
     let mut parameters = read_weights(path, config, device).map_err(wrong)?;
     let filled = verify_parameters(&mut parameters, config, params.seed).map_err(wrong)?;
     let refiner = Refiner::load(&parameters, config).map_err(wrong)?;
-    let hash = rogs_schemas::source::hash_file(path)?.to_string();
+    let hash = rogs_r4c::source::hash_file(path)?.to_string();
     let name = path
         .file_name()
         .map(|name| name.to_string_lossy().into_owned())

@@ -14,10 +14,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
+use rogs_r4c::{Record, read_record, write_record};
 use rogs_refine::{RefineParams, load_refiner};
 use rogs_schemas::key::{KeyMaterial, Provenance};
 use rogs_schemas::records::refinement::Refinement;
-use rogs_schemas::{Record, read_record, write_record};
 use rogs_stage2::weights::OWN_PARAMETERS;
 use rogs_stage2::{Device, RefinerConfig, seeded_parameters};
 use safetensors::Dtype;
@@ -134,7 +134,7 @@ fn the_program_refines_files_the_same_for_any_thread_count() {
     assert!(one == two, "the files differ in some byte");
 
     let (record, info) = read_record::<Refinement>(&folder.path().join("one.r4c")).unwrap();
-    let field_key = rogs_schemas::r4c::Reader::open(&folder.path().join("field-1.r4c"))
+    let field_key = rogs_r4c::Reader::open(&folder.path().join("field-1.r4c"))
         .unwrap()
         .provenance()
         .key();

@@ -261,8 +261,8 @@ fn the_record_survives_its_file() {
         input_content: Default::default(),
     };
     let path = folder.path().join("robot.r4c");
-    rogs_schemas::write_record(&path, &maps, &provenance).unwrap();
-    let (read, _) = rogs_schemas::read_record::<RobotMaps>(&path).unwrap();
+    rogs_r4c::write_record(&path, &maps, &provenance).unwrap();
+    let (read, _) = rogs_r4c::read_record::<RobotMaps>(&path).unwrap();
     assert_eq!(read, maps);
 }
 

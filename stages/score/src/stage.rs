@@ -7,13 +7,14 @@ use std::sync::Arc;
 use rayon::prelude::*;
 use rogs_field::TimedField;
 use rogs_geometry::{Base, Pose, Recon};
+use rogs_r4c::Record;
+use rogs_schemas::SchemaId;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::{Field, WeightsInfo};
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
-use rogs_schemas::{Record, SchemaId};
 use rogs_worker::{Context, Stage, StageError, StageResult};
 use serde::{Deserialize, Serialize};
 

@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 
 use rogs_field::TimedField;
 use rogs_geometry::{Pinhole, Pose, PosedCamera, Recon};
+use rogs_r4c::source::hash_source;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
-use rogs_schemas::source::hash_source;
 use rogs_schemas::units::LengthUnit;
 use rogs_splat::RasterCamera;
 use serde_json::{Value, json};

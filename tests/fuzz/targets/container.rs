@@ -7,7 +7,7 @@ mod parts;
 mod place;
 
 use libfuzzer_sys::fuzz_target;
-use rogs_schemas::r4c::{Limits, Reader, inspect, verify};
+use rogs_r4c::{Limits, Reader, inspect, verify};
 
 fuzz_target!(|bytes: &[u8]| {
     let Some((kind, rest)) = bytes.split_first() else {

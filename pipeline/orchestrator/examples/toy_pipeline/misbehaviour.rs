@@ -5,7 +5,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use rogs_schemas::record::Record;
+use rogs_r4c::Record;
 use rogs_worker::{Context, StageError, StageResult};
 
 /// Waits where a test wants the run to stand still, once: see the head of `main.rs`.

@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
-use rogs_schemas::ledger::{Attempt, Failure, Outcome, now_ms};
+use rogs_r4c::ledger::now_ms;
+use rogs_schemas::ledger::{Attempt, Failure, Outcome};
 use rogs_schemas::protocol::FailureCode;
 
 use super::policy::{Retry, retry};

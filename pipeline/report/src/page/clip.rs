@@ -3,12 +3,12 @@
 use std::path::Path;
 
 use maud::{Markup, html};
+use rogs_r4c::{Record, read_record};
 use rogs_schemas::ledger::{Attempt, Failure};
 use rogs_schemas::protocol::FailureCode;
 use rogs_schemas::records::clip::{CameraMount, Clip, ClipCamera};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
-use rogs_schemas::{Record, read_record};
 use rogs_score::summary::ImageMetric::{AbsRel, Delta1, Lpips, Psnr, Rmse, Ssim};
 use rogs_score::summary::{ImageMetric, Metric, clip_value};
 

@@ -4,12 +4,14 @@
 use std::path::{Path, PathBuf};
 
 use rogs_orchestrator::plan::{Plan, UnitKey, WorkUnit, read_plan};
-use rogs_schemas::ledger::{Attempt, append};
+use rogs_r4c::ledger::append;
+use rogs_r4c::{Record, write_record};
+use rogs_schemas::ledger::Attempt;
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
 use rogs_schemas::records::field::WeightsInfo;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::records::scores::{ImageScore, RenderedView, RobotDepthScore, ScoreSheet, Scores, TrackScore};
-use rogs_schemas::{Intrinsics, Provenance, Record, RigidPose, write_record};
+use rogs_schemas::{Intrinsics, Provenance, RigidPose};
 use serde_json::{Value, json};
 
 const WIDTH: u32 = 12;

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use rogs_schemas::r4c::{InspectReport, inspect};
+use rogs_r4c::{InspectReport, inspect};
 use serde::Serialize;
 
 use crate::output;

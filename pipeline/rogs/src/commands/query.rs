@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use anyhow::{Context as _, bail, ensure};
 use rogs_geometry::LinkPoses;
 use rogs_lift::{FieldQuery, LiftParams, MotionOptions, RobotAtTime, load_model};
-use rogs_schemas::read_record;
+use rogs_r4c::read_record;
 use rogs_schemas::records::clip::SourceView;
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::field::Field;

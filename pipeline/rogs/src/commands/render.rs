@@ -7,11 +7,12 @@ use anyhow::{Context as _, bail, ensure};
 use rogs_arrays::{NamedArray, write_exr, write_npz, write_png};
 use rogs_field::{Axes, TimedField, export_field_in};
 use rogs_geometry::{Base, Camera, Pinhole, Pose, PosedCamera, Recon};
+use rogs_r4c::read_record;
+use rogs_schemas::Intrinsics;
 use rogs_schemas::ids::check_name;
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::units::LengthUnit;
-use rogs_schemas::{Intrinsics, read_record};
 use rogs_splat::{Gaussians, RasterCamera, RasterConfig, RasterDevice, Render};
 use serde::{Deserialize, Serialize};
 

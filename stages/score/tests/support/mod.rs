@@ -10,9 +10,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use rogs_geometry::{Base, Camera, Pose};
+use rogs_r4c::{Record, read_record, write_record};
 use rogs_schemas::key::{KeyMaterial, Provenance};
 use rogs_schemas::protocol::Job;
-use rogs_schemas::record::Record;
 use rogs_schemas::records::clip::{
     CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, SourceView, Tracks,
 };
@@ -20,7 +20,7 @@ use rogs_schemas::records::field::{Field, TimeSlice, WeightsInfo};
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::records::scores::Scores;
-use rogs_schemas::{Intrinsics, RigidPose, read_record, write_record};
+use rogs_schemas::{Intrinsics, RigidPose};
 
 pub(crate) const HEIGHT: usize = 24;
 pub(crate) const WIDTH: usize = 32;
@@ -254,7 +254,7 @@ impl Bench {
     pub(crate) fn add_lpips(&mut self) {
         let path = self.folder.path().join("lpips.safetensors");
         std::fs::write(&path, narrow_lpips()).unwrap();
-        let hash = rogs_schemas::source::hash_source("lpips", &path).unwrap();
+        let hash = rogs_r4c::source::hash_source("lpips", &path).unwrap();
         self.keys.insert("lpips".into(), hash.to_string());
         self.inputs.insert("lpips".into(), path);
     }

@@ -20,7 +20,7 @@ pub fn file(ending: &str, bytes: &[u8]) -> PathBuf {
 
 /// Reads a container as every record there is.
 pub fn records(path: &Path) {
-    use rogs_schemas::read_record;
+    use rogs_r4c::read_record;
     use rogs_schemas::records::{clip, conditioning, field, refinement, robot, scores};
 
     let _ = read_record::<clip::Clip>(path);

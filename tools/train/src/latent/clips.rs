@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use rogs_schemas::record::{Record, read_record};
+use rogs_r4c::{Record, read_record};
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::robot::RobotMaps;

@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use rogs_lift::latents::LATENTS;
+use rogs_r4c::{Record, write_record};
 use rogs_schemas::key::{KeyMaterial, Provenance};
-use rogs_schemas::record::{Record, write_record};
 use rogs_schemas::records::clip::Clip;
 use rogs_train::LatentTraining;
 use rogs_train::config::DataSettings;

@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use rogs_orchestrator::stage::StageId;
+use rogs_r4c::Record;
+use rogs_r4c::source::ROBOT_MODEL;
+use rogs_schemas::SchemaId;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates};
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps, RobotSpec};
-use rogs_schemas::source::ROBOT_MODEL;
 use rogs_schemas::{ClipId, Intrinsics, RigidPose};
-use rogs_schemas::{Record, SchemaId};
 use rogs_worker::{Context, Stage, StageError, StageResult};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

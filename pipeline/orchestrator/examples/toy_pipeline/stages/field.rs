@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use rogs_orchestrator::stage::StageId;
+use rogs_r4c::Record;
 use rogs_schemas::RigidPose;
+use rogs_schemas::SchemaId;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::conditioning::Conditioning;
@@ -12,7 +14,6 @@ use rogs_schemas::records::field::{Field, RAW_CHANNELS, TimeSlice, WeightsInfo};
 use rogs_schemas::records::refinement::{Refinement, ScaleResidual};
 use rogs_schemas::records::robot::{NO_LINK, RobotMaps};
 use rogs_schemas::records::scores::{ImageScore, RenderedView, RobotDepthScore, ScoreSheet, Scores, TrackScore};
-use rogs_schemas::{Record, SchemaId};
 use rogs_worker::{Context, Stage, StageResult};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -1,13 +1,15 @@
 //! How scores lie in their container.
 
+use rogs_schemas::SchemaId;
+use rogs_schemas::records::check::{area, count};
+use rogs_schemas::records::scores::{RenderedView, ScoreSheet, Scores};
 use serde::{Deserialize, Serialize};
 
-use super::check::{Check, area, count};
-use super::scores::{RenderedView, ScoreSheet, Scores};
 use crate::error::Result;
-use crate::identity::SchemaId;
-use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
+use crate::reader::Reader;
 use crate::record::Record;
+use crate::stream::{Codec, Dtype, Frame, StreamSpec, Unit};
+use crate::writer::Writer;
 
 /// Renders, one chunk per view; views may differ in size.
 const RGB: StreamSpec = StreamSpec {
@@ -93,18 +95,5 @@ impl Record for Scores {
         }
         count("pixels beyond the renders", rgb_rest.len() + depth_rest.len(), 0).map_err(wrong)?;
         Ok(Self { summary, renders })
-    }
-}
-
-impl Scores {
-    /// What contradicts what, if anything.
-    pub(crate) fn check(&self) -> Check {
-        for view in &self.renders {
-            let area = area(view.height, view.width)?;
-            let here = |what: String| format!("render of `{}` at frame {}: {what}", view.camera, view.frame);
-            count("rgb", view.rgb.len(), 3 * area).map_err(here)?;
-            count("depth", view.depth_m.len(), area).map_err(here)?;
-        }
-        Ok(())
     }
 }

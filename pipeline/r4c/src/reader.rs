@@ -4,23 +4,22 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
+use rogs_files::fault_injection::{self, Operation};
+use rogs_schemas::key::{CacheKey, ContentHash, Provenance};
+use rogs_schemas::{FileInfo, SchemaId};
 use serde::de::DeserializeOwned;
 use xxhash_rust::xxh3::xxh3_64;
 
-use super::compress::{self, Buffer, Scratch};
-use super::content::{ChunkContent, content_hash};
-use super::layout::{
+use crate::compress::{self, Buffer, Scratch};
+use crate::content::{ChunkContent, content_hash};
+use crate::error::{Error, Result};
+use crate::layout::{
     EDGE, ENTRY_BYTES, FLAG_CONSTANT, Footer, IndexEntry, MAX_BLOCK, MAX_CHUNK, MAX_CHUNKS, MAX_FILE, MIN_FILE,
     Prologue, align8, blocks_hash, schema_id,
 };
-use super::stream::{Codec, Element, StreamInfo, StreamSpec};
-use super::writer::{Schema, required_features, value_spec};
-use super::{CONTAINER_VERSION, FEATURE_PLANES, META_CONTENT, META_PROVENANCE, codec};
-use rogs_files::fault_injection::{self, Operation};
-
-use crate::error::{Error, Result};
-use crate::identity::{FileInfo, SchemaId};
-use crate::key::{CacheKey, ContentHash, Provenance};
+use crate::stream::{Codec, Element, StreamInfo, StreamSpec};
+use crate::writer::{Schema, required_features, value_spec};
+use crate::{CONTAINER_VERSION, FEATURE_PLANES, META_CONTENT, META_PROVENANCE, codec};
 
 /// What a reader is willing to meet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -324,7 +323,7 @@ impl Reader {
             .collect())
     }
 
-    /// A small structured value written by [`Writer::value`](super::Writer::value).
+    /// A small structured value written by [`Writer::value`](crate::Writer::value).
     ///
     /// # Errors
     /// When the stream is missing or damaged.

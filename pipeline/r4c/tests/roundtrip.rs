@@ -11,8 +11,8 @@ mod common;
 
 use common::Scratch;
 use proptest::prelude::*;
+use rogs_r4c::{Chunk, Codec, Dtype, Element, Frame, Reader, StreamSpec, Unit, Writer, verify};
 use rogs_schemas::SchemaId;
-use rogs_schemas::r4c::{Chunk, Codec, Dtype, Element, Frame, Reader, StreamSpec, Unit, Writer, verify};
 
 const SCHEMA: SchemaId = SchemaId {
     name: "test.random",

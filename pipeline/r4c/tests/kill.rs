@@ -15,8 +15,7 @@ use std::time::Duration;
 
 use common::Scratch;
 use rogs_files::sweep;
-use rogs_schemas::r4c::verify;
-use rogs_schemas::write_record;
+use rogs_r4c::{verify, write_record};
 
 const FOLDER: &str = "ROGS_TEST_KILL_FOLDER";
 

@@ -1,6 +1,6 @@
 //! Every released schema version stays readable, and today's writer still makes the same bytes.
 //!
-//! `UPDATE_EXPECT=1 cargo test -p rogs-schemas --test golden` writes missing files; an existing one is never replaced,
+//! `UPDATE_EXPECT=1 cargo test -p rogs-r4c --test golden` writes missing files; an existing one is never replaced,
 //! because a changed layout needs a new version.
 #![allow(
     clippy::unwrap_used,
@@ -18,8 +18,7 @@ use std::process::Command;
 
 use common::Scratch;
 use rogs_needs::needs;
-use rogs_schemas::r4c::Reader;
-use rogs_schemas::{Record, read_record, write_record};
+use rogs_r4c::{Reader, Record, read_record, write_record};
 
 fn golden(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
@@ -63,7 +62,7 @@ fn every_schema_version_stays_readable() {
 #[needs(zstandard)]
 #[test]
 fn python_reads_the_same_bytes() {
-    let script = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../docs/python/r4c.py");
+    let script = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../docs/python/r4c.py");
     let python = std::env::var("ROGS_PEER_PYTHON").unwrap_or_else(|_| "python3".into());
     for name in ["clip", "robot", "conditioning", "field", "refinement", "scores"] {
         let path = golden(&format!("{name}-1.0.r4c"));

@@ -106,7 +106,7 @@ pub enum Codec {
     DeltaShuffleZstd,
     /// Bytes transposed as for `ShuffleZstd`, then each byte plane by itself: one zstd frame, or as it is where that
     /// would hardly be smaller. A list of stored lengths (u32 a plane) comes first. The low bytes of floats are noise, which
-    /// costs nothing this way, and the others get statistics of their own. Needs [`FEATURE_PLANES`](super::FEATURE_PLANES).
+    /// costs nothing this way, and the others get statistics of their own. Needs [`FEATURE_PLANES`](crate::FEATURE_PLANES).
     PlanesZstd,
 }
 
@@ -223,7 +223,7 @@ impl StreamInfo {
                 "stream name {name:?} is not 1 to 64 printable ASCII characters"
             ));
         }
-        if self.shape.len() > 4 || self.element_bytes().is_none_or(|bytes| bytes > super::MAX_CHUNK) {
+        if self.shape.len() > 4 || self.element_bytes().is_none_or(|bytes| bytes > crate::MAX_CHUNK) {
             return Some(format!("stream `{name}` has element shape {:?}", self.shape));
         }
         let integers = matches!(self.dtype, Dtype::U8 | Dtype::U16 | Dtype::U32 | Dtype::I32);

@@ -4,20 +4,20 @@ use std::io::Write as _;
 use std::path::Path;
 
 use rayon::prelude::*;
+use rogs_schemas::SchemaId;
+use rogs_schemas::json::canonical_json;
+use rogs_schemas::key::{CacheKey, ContentHash, Provenance};
 use serde::Serialize;
 use xxhash_rust::xxh3::xxh3_64;
 
-use super::compress;
-use super::content::{ChunkContent, content_hash};
-use super::layout::{
+use crate::compress;
+use crate::content::{ChunkContent, content_hash};
+use crate::error::{Error, Result};
+use crate::layout::{
     EDGE, FLAG_CONSTANT, Footer, IndexEntry, MAX_BLOCK, MAX_CHUNK, MAX_CHUNKS, Prologue, align8, blocks_hash, schema_id,
 };
-use super::stream::{Codec, Dtype, Element, Frame, StreamInfo, StreamSpec, Unit};
-use super::{CONTAINER_VERSION, FEATURE_PLANES, META_CONTENT, META_PROVENANCE, codec};
-use crate::error::{Error, Result};
-use crate::identity::SchemaId;
-use crate::json::canonical_json;
-use crate::key::{CacheKey, ContentHash, Provenance};
+use crate::stream::{Codec, Dtype, Element, Frame, StreamInfo, StreamSpec, Unit};
+use crate::{CONTAINER_VERSION, FEATURE_PLANES, META_CONTENT, META_PROVENANCE, codec};
 
 /// The schema block.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, serde::Deserialize)]

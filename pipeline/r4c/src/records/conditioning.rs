@@ -1,15 +1,16 @@
 //! How conditioning maps lie in their container.
 
+use rogs_schemas::records::check::{count, product};
+use rogs_schemas::records::clip::SourceView;
+use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
+use rogs_schemas::{ClipId, SchemaId};
 use serde::{Deserialize, Serialize};
 
-use super::check::{Check, area, ascending_frames, binary, count, ensure, product};
-use super::clip::SourceView;
-use super::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use crate::error::Result;
-use crate::identity::SchemaId;
-use crate::ids::ClipId;
-use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
+use crate::reader::Reader;
 use crate::record::Record;
+use crate::stream::{Codec, Dtype, Frame, StreamSpec, Unit};
+use crate::writer::Writer;
 
 /// Supported pixels, one chunk per view.
 const PIXELS: StreamSpec = StreamSpec {
@@ -146,44 +147,5 @@ impl Record for Conditioning {
         };
         conditioning.check().map_err(wrong)?;
         Ok(conditioning)
-    }
-}
-
-impl Conditioning {
-    /// What contradicts what, if anything.
-    pub(crate) fn check(&self) -> Check {
-        let area = area(self.height, self.width)?;
-        let queries = self.query_frames.len();
-        ascending_frames("query frames", &self.query_frames, usize::MAX)?;
-        count("view maps", self.view_maps.len(), self.views.len())?;
-        for (number, view) in self.view_maps.iter().enumerate() {
-            let here = |what: String| format!("view {number}: {what}");
-            let ViewConditioning {
-                pixels,
-                link,
-                depth_m,
-                displacement_iu,
-                available,
-                prior: _,
-            } = view;
-            let support = pixels.len();
-            let inside = pixels.is_sorted_by(|a, b| a < b) && pixels.last().is_none_or(|&last| (last as usize) < area);
-            ensure(inside, || here(format!("pixels do not ascend below {area}")))?;
-            count("link ids", link.len(), support).map_err(here)?;
-            count("mesh depth", depth_m.len(), support).map_err(here)?;
-            count(
-                "displacements",
-                displacement_iu.len(),
-                product("displacements", &[queries, support, 3])?,
-            )
-            .map_err(here)?;
-            count("availability", available.len(), queries).map_err(here)?;
-            binary("availability", available).map_err(here)?;
-            let finite = |values: &[f32]| values.iter().all(|value| value.is_finite());
-            ensure(finite(depth_m) && finite(displacement_iu), || {
-                here("a depth or displacement is not finite".into())
-            })?;
-        }
-        Ok(())
     }
 }

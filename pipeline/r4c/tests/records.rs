@@ -10,10 +10,9 @@
 mod common;
 
 use common::Scratch;
-use rogs_schemas::r4c::{Reader, inspect, read_header, verify};
+use rogs_r4c::{Error, Reader, Record, inspect, read_header, read_record, verify, write_record};
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::Field;
-use rogs_schemas::{Error, Record, read_record, write_record};
 
 fn survives<T: Record + std::fmt::Debug>(name: &str, record: &T) {
     let scratch = Scratch::new(&format!("survives-{name}"));
@@ -118,7 +117,7 @@ fn a_missing_file_is_an_error_of_the_system() {
 
 #[test]
 fn one_chunk_is_read_without_the_others() {
-    use rogs_schemas::r4c::{Codec, Dtype, Frame, StreamSpec, Unit};
+    use rogs_r4c::{Codec, Dtype, Frame, StreamSpec, Unit};
     let scratch = Scratch::new("one-chunk");
     let path = scratch.file("a.r4c");
     let clip = common::clip();

@@ -2,10 +2,11 @@
 
 use std::path::Path;
 
+use rogs_schemas::key::Provenance;
+use rogs_schemas::{FileInfo, SchemaId};
+
 use crate::error::Result;
-use crate::identity::{FileInfo, SchemaId};
-use crate::key::Provenance;
-use crate::r4c::{Reader, Writer};
+use crate::{Reader, Writer};
 
 /// A type that lies on disk as one container file.
 pub trait Record: Sized {

@@ -1,15 +1,15 @@
 //! How robot maps lie in their container.
 
+use rogs_schemas::records::check::{area, count, product};
+use rogs_schemas::records::robot::{RobotMap, RobotMaps};
+use rogs_schemas::{ClipId, RigidPose, SchemaId};
 use serde::{Deserialize, Serialize};
 
-use super::check::{Check, area, binary, count, ensure, finite, pose, product};
-use super::robot::{NO_LINK, RobotMap, RobotMaps};
 use crate::error::Result;
-use crate::identity::SchemaId;
-use crate::ids::ClipId;
-use crate::pose::RigidPose;
-use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
+use crate::reader::Reader;
 use crate::record::Record;
+use crate::stream::{Codec, Dtype, Frame, StreamSpec, Unit};
+use crate::writer::Writer;
 
 /// Mesh depth, one chunk per map.
 const DEPTH: StreamSpec = StreamSpec {
@@ -124,61 +124,5 @@ impl Record for RobotMaps {
         };
         robot.check().map_err(wrong)?;
         Ok(robot)
-    }
-}
-
-impl RobotMaps {
-    /// What contradicts what, if anything.
-    pub(crate) fn check(&self) -> Check {
-        let area = area(self.height, self.width)?;
-        let links = self.link_names.len();
-        ensure((1..=usize::from(NO_LINK)).contains(&links), || format!("{links} links"))?;
-        let frames = self.base_from_link.len() / links;
-        ensure(frames > 0, || "there are no link poses".into())?;
-        count("link poses", self.base_from_link.len(), frames * links)?;
-        ensure(self.base_from_camera.len().is_multiple_of(frames), || {
-            format!("{} camera poses for {frames} frames", self.base_from_camera.len())
-        })?;
-        let cameras = self.base_from_camera.len() / frames;
-        self.base_from_link
-            .iter()
-            .try_for_each(|item| pose("a link pose", item))?;
-        self.base_from_camera
-            .iter()
-            .try_for_each(|item| pose("a camera pose", item))?;
-        pose("recon_from_base", &self.recon_from_base)?;
-        count("tool positions", self.tool_m.len(), 3 * frames)?;
-        finite("a tool position", &self.tool_m)?;
-        let ascending = self.maps.is_sorted_by(|a, b| (a.camera, a.frame) < (b.camera, b.frame));
-        ensure(ascending, || "maps are not in camera-major order".into())?;
-        for map in &self.maps {
-            let RobotMap {
-                camera,
-                frame,
-                depth_m,
-                link,
-                support,
-            } = map;
-            let here = |what: String| format!("map of camera {camera}, frame {frame}: {what}");
-            ensure((*camera as usize) < cameras && (*frame as usize) < frames, || {
-                here(format!("there are {cameras} cameras and {frames} frames"))
-            })?;
-            for (what, length) in [
-                ("depth", depth_m.len()),
-                ("link", link.len()),
-                ("support", support.len()),
-            ] {
-                count(what, length, area).map_err(here)?;
-            }
-            binary("support", support).map_err(here)?;
-            ensure(
-                link.iter().all(|&link| link == NO_LINK || usize::from(link) < links),
-                || here(format!("a link id is not among the {links} links")),
-            )?;
-            ensure(depth_m.iter().all(|depth| depth.is_finite() && *depth >= 0.0), || {
-                here("a depth is negative or not finite".into())
-            })?;
-        }
-        Ok(())
     }
 }

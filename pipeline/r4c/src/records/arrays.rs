@@ -1,9 +1,12 @@
 //! Named arrays in a stream: shapes in the record's head, values in parts, one chunk per (array, part).
 
-use super::check::{Check, count, product};
-use super::field::NamedArray;
+use rogs_schemas::records::check::count;
+use rogs_schemas::records::field::{NamedArray, array_length};
+
 use crate::error::Result;
-use crate::r4c::{Reader, StreamSpec, Writer};
+use crate::reader::Reader;
+use crate::stream::StreamSpec;
+use crate::writer::Writer;
 
 /// Values of one chunk.
 const PART: usize = 1 << 20;
@@ -40,7 +43,7 @@ pub(crate) fn read(reader: &Reader, spec: &StreamSpec, heads: Vec<ArrayHead>) ->
     let mut rest = values.as_slice();
     let mut arrays = Vec::with_capacity(heads.len());
     for (name, shape) in heads {
-        let length = length(&name, &shape).map_err(|what| reader.inconsistent(what))?;
+        let length = array_length(&name, &shape).map_err(|what| reader.inconsistent(what))?;
         let (data, after) = rest
             .split_at_checked(length)
             .ok_or_else(|| reader.inconsistent(format!("array `{name}` {shape:?} has too few values")))?;
@@ -53,16 +56,4 @@ pub(crate) fn read(reader: &Reader, spec: &StreamSpec, heads: Vec<ArrayHead>) ->
     }
     count("values beyond the arrays", rest.len(), 0).map_err(|what| reader.inconsistent(what))?;
     Ok(arrays)
-}
-
-/// Every array has as many values as its shape says.
-pub(crate) fn check(arrays: &[NamedArray]) -> Check {
-    arrays
-        .iter()
-        .try_for_each(|array| count(&array.name, array.data.len(), length(&array.name, &array.shape)?))
-}
-
-fn length(name: &str, shape: &[u32]) -> std::result::Result<usize, String> {
-    let dims: Vec<usize> = shape.iter().map(|&dim| dim as usize).collect();
-    product(name, &dims)
 }

@@ -1,17 +1,17 @@
 //! How a refinement lies in its container: blocks of Gaussians.
 
+use rogs_schemas::records::check::{count, nonzero, product};
+use rogs_schemas::records::field::WeightsInfo;
+use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
+use rogs_schemas::{CacheKey, ClipId, SchemaId};
 use serde::{Deserialize, Serialize};
 
-use super::arrays_io::{self, ArrayHead};
-use super::check::{Check, binary, count, ensure, product};
-use super::field::WeightsInfo;
-use super::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
+use super::arrays::{self, ArrayHead};
 use crate::error::Result;
-use crate::identity::SchemaId;
-use crate::ids::ClipId;
-use crate::key::CacheKey;
-use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
+use crate::reader::Reader;
 use crate::record::Record;
+use crate::stream::{Codec, Dtype, Frame, StreamSpec, Unit};
+use crate::writer::Writer;
 
 /// Which Gaussians have a correction, one chunk per (step, block).
 const TOUCHED: StreamSpec = StreamSpec {
@@ -76,7 +76,7 @@ impl Record for Refinement {
             weights: self.weights.clone(),
             scale_residual: self.scale_residual,
             steps: self.steps.iter().map(|step| step.update).collect(),
-            resume_state: arrays_io::heads(&self.resume_state),
+            resume_state: arrays::heads(&self.resume_state),
         };
         writer.value("refinement", &head)?;
         let mut touched = Vec::new();
@@ -85,14 +85,14 @@ impl Record for Refinement {
             let mut rest = step.values.as_slice();
             for (block, index) in step.touched.chunks(BLOCK).zip(0u32..) {
                 touched.push(([number, index, 0, 0], block));
-                let (part, after) = rest.split_at(RESIDUAL_CHANNELS * corrected(block));
+                let (part, after) = rest.split_at(RESIDUAL_CHANNELS * nonzero(block));
                 values.push(([number, index, 0, 0], part));
                 rest = after;
             }
         }
         writer.stream(&TOUCHED, &[], &touched)?;
         writer.stream(&VALUES, &[RESIDUAL_CHANNELS as u32], &values)?;
-        arrays_io::write(writer, &RESUME_STATE, &self.resume_state)
+        arrays::write(writer, &RESUME_STATE, &self.resume_state)
     }
 
     fn decode(reader: &Reader) -> Result<Self> {
@@ -107,12 +107,12 @@ impl Record for Refinement {
             product("steps", &[gaussians, head.steps.len()]).map_err(wrong)?,
         )
         .map_err(wrong)?;
-        count("corrections", values.len(), RESIDUAL_CHANNELS * corrected(&touched)).map_err(wrong)?;
+        count("corrections", values.len(), RESIDUAL_CHANNELS * nonzero(&touched)).map_err(wrong)?;
         let mut rest = values.as_slice();
         let mut steps = Vec::with_capacity(head.steps.len());
         for (index, &update) in head.steps.iter().enumerate() {
             let touched = touched[index * gaussians..(index + 1) * gaussians].to_vec();
-            let (values, after) = rest.split_at(RESIDUAL_CHANNELS * corrected(&touched));
+            let (values, after) = rest.split_at(RESIDUAL_CHANNELS * nonzero(&touched));
             rest = after;
             steps.push(RefinementStep {
                 update,
@@ -129,43 +129,9 @@ impl Record for Refinement {
             weights: head.weights,
             scale_residual: head.scale_residual,
             steps,
-            resume_state: arrays_io::read(reader, &RESUME_STATE, head.resume_state)?,
+            resume_state: arrays::read(reader, &RESUME_STATE, head.resume_state)?,
         };
         refinement.check().map_err(wrong)?;
         Ok(refinement)
-    }
-}
-
-fn corrected(touched: &[u8]) -> usize {
-    touched.iter().filter(|&&touched| touched != 0).count()
-}
-
-impl Refinement {
-    /// What contradicts what, if anything.
-    pub(crate) fn check(&self) -> Check {
-        ensure(self.steps.is_sorted_by(|a, b| a.update < b.update), || {
-            "steps do not ascend".into()
-        })?;
-        ensure(self.steps.last().is_none_or(|last| last.update == self.updates), || {
-            format!("the last step is not update {}", self.updates)
-        })?;
-        for step in &self.steps {
-            let here = |what: String| format!("update {}: {what}", step.update);
-            ensure(step.touched.len() as u64 == self.gaussian_count, || {
-                here(format!(
-                    "{} flags for {} Gaussians",
-                    step.touched.len(),
-                    self.gaussian_count
-                ))
-            })?;
-            binary("touched", &step.touched).map_err(here)?;
-            count(
-                "corrections",
-                step.values.len(),
-                RESIDUAL_CHANNELS * corrected(&step.touched),
-            )
-            .map_err(here)?;
-        }
-        arrays_io::check(&self.resume_state)
     }
 }

@@ -1,9 +1,8 @@
 //! The fixed blocks: prologue, index entry, footer, and their limits (`docs/spec/r4c.md` section 3).
 
+use rogs_schemas::key::CacheKey;
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;
-
-use crate::key::CacheKey;
 
 /// Length of prologue and of footer.
 pub(crate) const EDGE: u64 = 64;
@@ -200,7 +199,7 @@ mod tests {
             decoded_crc: 14,
             reserved: 0,
         };
-        let bytes = crate::r4c::codec::encode(&vec![entry]).unwrap();
+        let bytes = crate::codec::encode(&vec![entry]).unwrap();
         assert_eq!(bytes.len() as u64, 8 + ENTRY_BYTES);
         assert_eq!(bytes[8 + 24], 7, "the offset is at byte 24 of an entry");
         assert_eq!(bytes[8 + 48], 13, "the hash is at byte 48 of an entry");

@@ -1,7 +1,8 @@
 //! The content hash: BLAKE3 over the decoded streams, whatever the compression.
 
-use super::stream::StreamInfo;
-use crate::key::ContentHash;
+use rogs_schemas::key::ContentHash;
+
+use crate::stream::StreamInfo;
 
 /// What enters the hash of one chunk.
 pub(crate) struct ChunkContent {

@@ -9,10 +9,10 @@
 //! ```
 //!
 //! All integers are little endian. Checksums: XXH3-64 of what is stored, CRC-32C of what it decodes to. The identity of
-//! a file's data is the [`ContentHash`](crate::ContentHash) of its decoded streams, which does not depend on zstd.
+//! a file's data is the [`ContentHash`](rogs_schemas::ContentHash) of its decoded streams, which does not depend on zstd.
 //! A file without a whole footer counts as absent. Nothing here is appended to or changed in place.
 //!
-//! Writing and reading through [`Record`](crate::Record) is all a stage needs; [`Reader::read_chunk`] fetches one chunk
+//! Writing and reading through [`Record`] is all a stage needs; [`Reader::read_chunk`] fetches one chunk
 //! by touching only its bytes, and [`inspect`] describes any file.
 
 #[cfg(target_endian = "big")]
@@ -21,16 +21,24 @@ compile_error!("the container is read and written in place on little-endian mach
 pub mod codec;
 mod compress;
 mod content;
+mod error;
 mod inspect;
 mod layout;
+pub mod ledger;
+mod memory;
 mod reader;
+mod record;
+mod records;
+pub mod source;
 mod stream;
 mod transpose;
 mod writer;
 
+pub use error::{Error, Result};
 pub use inspect::{ChunkTotals, InspectReport, StreamReport, inspect};
 pub use layout::{MAX_BLOCK, MAX_CHUNK, MAX_CHUNKS, MAX_FILE, MIN_FILE};
 pub use reader::{FileHeader, Limits, Reader, read_header, read_key, verify};
+pub use record::{Record, read_record, write_record};
 pub use stream::{Codec, Dtype, Element, Frame, StreamInfo, StreamSpec, Unit};
 pub use writer::{Chunk, Writer};
 

@@ -1,17 +1,17 @@
 //! How a field lies in its container: per-Gaussian arrays in one chunk per source view (and time).
 
+use rogs_schemas::records::check::{area, count, nonzero, product};
+use rogs_schemas::records::clip::SourceView;
+use rogs_schemas::records::field::{Field, RAW_CHANNELS, TimeSlice, WeightsInfo};
+use rogs_schemas::{ClipId, RigidPose, SchemaId};
 use serde::{Deserialize, Serialize};
 
-use super::arrays_io::{self, ArrayHead};
-use super::check::{Check, area, binary, count, ensure, pose, product};
-use super::clip::SourceView;
-use super::field::{Field, GATE_ATTRIBUTES, GATE_OPACITY, RAW_CHANNELS, TimeSlice, WeightsInfo};
+use super::arrays::{self, ArrayHead};
 use crate::error::Result;
-use crate::identity::SchemaId;
-use crate::ids::ClipId;
-use crate::pose::RigidPose;
-use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
+use crate::reader::Reader;
 use crate::record::Record;
+use crate::stream::{Codec, Dtype, Frame, StreamSpec, Unit};
+use crate::writer::Writer;
 
 const POSITION: StreamSpec = floats("position_m", Unit::Metre, Frame::Recon, "");
 const BASE_RAW: StreamSpec = floats("base_raw", Unit::One, Frame::None, "");
@@ -80,7 +80,7 @@ impl Record for Field {
             recon_from_base: self.recon_from_base,
             weights: self.weights.clone(),
             times: self.slices.iter().map(|slice| slice.time).collect(),
-            query_state: arrays_io::heads(&self.query_state),
+            query_state: arrays::heads(&self.query_state),
         };
         writer.value("field", &head)?;
         let area = self.height as usize * self.width as usize;
@@ -105,7 +105,7 @@ impl Record for Field {
             let mut rest = slice.moving_raw.as_slice();
             for (part, view) in slice.gate.chunks_exact(area).zip(0..) {
                 gate.push((at(view), part));
-                let (values, after) = rest.split_at(RAW_CHANNELS * open(part));
+                let (values, after) = rest.split_at(RAW_CHANNELS * nonzero(part));
                 moving.push((at(view), values));
                 rest = after;
             }
@@ -113,7 +113,7 @@ impl Record for Field {
         writer.stream(&DISPLACEMENT, &[3], &displacement)?;
         writer.stream(&GATE, &[], &gate)?;
         writer.stream(&MOVING_RAW, &[channels], &moving)?;
-        arrays_io::write(writer, &QUERY_STATE, &self.query_state)
+        arrays::write(writer, &QUERY_STATE, &self.query_state)
     }
 
     fn decode(reader: &Reader) -> Result<Self> {
@@ -133,12 +133,12 @@ impl Record for Field {
         )
         .map_err(wrong)?;
         count("gates", gate.len(), product("slices", &[times, total]).map_err(wrong)?).map_err(wrong)?;
-        count("query-time attributes", moving.len(), RAW_CHANNELS * open(&gate)).map_err(wrong)?;
+        count("query-time attributes", moving.len(), RAW_CHANNELS * nonzero(&gate)).map_err(wrong)?;
         let mut rest = moving.as_slice();
         let mut slices = Vec::with_capacity(times);
         for (index, &time) in head.times.iter().enumerate() {
             let gate = gate[index * total..(index + 1) * total].to_vec();
-            let (values, after) = rest.split_at(RAW_CHANNELS * open(&gate));
+            let (values, after) = rest.split_at(RAW_CHANNELS * nonzero(&gate));
             rest = after;
             let displacement_m = displacement[3 * index * total..3 * (index + 1) * total].to_vec();
             slices.push(TimeSlice {
@@ -162,7 +162,7 @@ impl Record for Field {
             link: reader.stream(&LINK, &[])?,
             scale_cap_iu: reader.stream(&SCALE_CAP, &[])?,
             slices,
-            query_state: arrays_io::read(reader, &QUERY_STATE, head.query_state)?,
+            query_state: arrays::read(reader, &QUERY_STATE, head.query_state)?,
         };
         field.check().map_err(wrong)?;
         Ok(field)
@@ -175,50 +175,4 @@ fn by_view<T>(values: &[T], length: usize) -> Vec<([u32; 4], &[T])> {
         .zip(0..)
         .map(|(part, view)| ([view, 0, 0, 0], part))
         .collect()
-}
-
-/// Gaussians whose gate is open.
-fn open(gate: &[u8]) -> usize {
-    gate.iter().filter(|&&gate| gate != 0).count()
-}
-
-impl Field {
-    /// What contradicts what, if anything.
-    pub(crate) fn check(&self) -> Check {
-        let total = product("Gaussians", &[area(self.height, self.width)?, self.views.len()])?;
-        ensure(self.frame_count > 0, || "the clip has no frames".into())?;
-        ensure(self.views.iter().all(|view| view.frame < self.frame_count), || {
-            format!("a source view lies beyond the {} frames", self.frame_count)
-        })?;
-        pose("recon_from_base", &self.recon_from_base)?;
-        count("positions", self.position_m.len(), 3 * total)?;
-        count("base attributes", self.base_raw.len(), RAW_CHANNELS * total)?;
-        count("support", self.support.len(), total)?;
-        binary("support", &self.support)?;
-        count("link ids", self.link.len(), total)?;
-        count("scale caps", self.scale_cap_iu.len(), total)?;
-        ensure(self.scale_cap_iu.iter().all(|cap| *cap >= 0.0), || {
-            "a scale cap is negative or NaN".into()
-        })?;
-        ensure(self.slices.is_sorted_by(|a, b| a.time < b.time), || {
-            "times do not ascend".into()
-        })?;
-        for slice in &self.slices {
-            let here = |what: String| format!("time {}: {what}", slice.time);
-            ensure((0.0..=1.0).contains(&slice.time), || here("it is not in 0 to 1".into()))?;
-            count("displacements", slice.displacement_m.len(), 3 * total).map_err(here)?;
-            count("gates", slice.gate.len(), total).map_err(here)?;
-            ensure(
-                slice.gate.iter().all(|&gate| gate <= GATE_ATTRIBUTES | GATE_OPACITY),
-                || here("unknown gate bit".into()),
-            )?;
-            count(
-                "query-time attributes",
-                slice.moving_raw.len(),
-                RAW_CHANNELS * open(&slice.gate),
-            )
-            .map_err(here)?;
-        }
-        arrays_io::check(&self.query_state)
-    }
 }

@@ -6,8 +6,9 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use rogs_schemas::key::ContentHash;
+
 use crate::error::{Error, Result};
-use crate::key::ContentHash;
 
 /// Role of the robot model: a URDF whose folder, with its meshes, is the source.
 pub const ROBOT_MODEL: &str = "robot-model";

@@ -1,6 +1,6 @@
 //! G-IO: one clip's products through the container, beside common containers in the same run.
 //!
-//! `ROGS_PEER_PYTHON=PYTHON cargo bench -p rogs-schemas --bench io` (a Python with numpy, h5py, hdf5plugin, blosc2, zarr,
+//! `ROGS_PEER_PYTHON=PYTHON cargo bench -p rogs-r4c --bench io` (a Python with numpy, h5py, hdf5plugin, blosc2, zarr,
 //! pyarrow); without it only our own figures are printed. Files lie in `ROGS_BENCH_DIR`, else /dev/shm where there is
 //! one, so that formats are measured and not the disk. The best of several repetitions counts on both sides, in wall time
 //! and in CPU time of all threads; the second is what a busy machine can measure.
@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
 
-use rogs_schemas::r4c::{Chunk, Codec, Dtype, Element, Frame, Reader, StreamSpec, Unit, Writer};
+use rogs_r4c::{Chunk, Codec, Dtype, Element, Frame, Reader, StreamSpec, Unit, Writer};
 use rogs_schemas::{KeyMaterial, Provenance, SchemaId};
 
 const WIDTH: usize = 280;

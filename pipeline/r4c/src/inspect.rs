@@ -3,13 +3,13 @@
 use std::path::Path;
 
 use rayon::prelude::*;
+use rogs_schemas::key::{CacheKey, ContentHash, Provenance};
 use serde::Serialize;
 
-use super::layout::{FLAG_CONSTANT, IndexEntry};
-use super::reader::Reader;
-use super::stream::{Codec, Dtype, Frame, StreamInfo, Unit};
 use crate::error::Result;
-use crate::key::{CacheKey, ContentHash, Provenance};
+use crate::layout::{FLAG_CONSTANT, IndexEntry};
+use crate::reader::Reader;
+use crate::stream::{Codec, Dtype, Frame, StreamInfo, Unit};
 
 /// Everything `rogs inspect` shows.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -1,15 +1,15 @@
 //! How a clip lies in its container.
 
+use rogs_schemas::records::check::{area, count, product};
+use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Tracks};
+use rogs_schemas::{ClipId, Intrinsics, SchemaId};
 use serde::{Deserialize, Serialize};
 
-use super::check::{Check, area, ascending_frames, binary, count, ensure, finite, pose, product};
-use super::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Tracks};
 use crate::error::Result;
-use crate::identity::SchemaId;
-use crate::ids::ClipId;
-use crate::pose::Intrinsics;
-use crate::r4c::{Codec, Dtype, Frame, Reader, StreamSpec, Unit, Writer};
+use crate::reader::Reader;
 use crate::record::Record;
+use crate::stream::{Codec, Dtype, Frame, StreamSpec, Unit};
+use crate::writer::Writer;
 
 /// Images, one chunk per (camera, frame).
 const RGB: StreamSpec = StreamSpec {
@@ -255,104 +255,4 @@ fn take_back<T>(values: &mut Vec<T>, length: usize, what: &str) -> std::result::
         return Ok(std::mem::take(values));
     }
     Ok(values.split_off(start))
-}
-
-impl Clip {
-    /// What contradicts what, if anything.
-    pub(crate) fn check(&self) -> Check {
-        let area = area(self.height, self.width)?;
-        let frames = self.frame_count();
-        ensure((1..=65_536).contains(&frames), || format!("{frames} frames"))?;
-        ensure(self.fps.is_finite() && self.fps > 0.0, || {
-            format!("{} frames per second", self.fps)
-        })?;
-        ascending_frames("source frames", &self.source_frames, frames)?;
-        ascending_frames("query frames", &self.query_frames, frames)?;
-        ensure(!self.source_frames.is_empty(), || "there is no source frame".into())?;
-        ensure((self.anchor_frame as usize) < frames, || {
-            format!("anchor frame {} of {frames}", self.anchor_frame)
-        })?;
-        ensure((1..=255).contains(&self.cameras.len()), || {
-            format!("{} cameras", self.cameras.len())
-        })?;
-        for camera in &self.cameras {
-            self.check_camera(camera, frames, area)
-                .map_err(|what| format!("camera `{}`: {what}", camera.id))?;
-        }
-        let RobotStates {
-            joint_names,
-            positions,
-            gripper,
-        } = &self.robot;
-        count(
-            "joint positions",
-            positions.len(),
-            product("joints", &[frames, joint_names.len()])?,
-        )?;
-        finite("a joint position", positions)?;
-        count("gripper states", gripper.len(), frames)?;
-        finite("a gripper state", gripper)?;
-        match &self.tracks {
-            None => Ok(()),
-            Some(tracks) => self.check_tracks(tracks, frames),
-        }
-    }
-
-    fn check_camera(&self, camera: &ClipCamera, frames: usize, area: usize) -> Check {
-        let Intrinsics { fx, fy, cx, cy } = camera.intrinsics;
-        finite("an intrinsic", &[fx, fy, cx, cy])?;
-        ensure(fx > 0.0 && fy > 0.0, || {
-            format!("focal lengths {fx} and {fy} are not above 0")
-        })?;
-        if let Some(partner) = camera.partner {
-            let other = self.cameras.get(partner as usize);
-            ensure(other.is_some_and(|other| other.role == CameraRole::Source), || {
-                format!("its partner {partner} is not a source camera")
-            })?;
-        }
-        match &camera.mount {
-            CameraMount::Fixed { base_from_camera } => pose("its pose", base_from_camera)?,
-            CameraMount::HandEye { link_from_camera, .. } => pose("its pose", link_from_camera)?,
-            CameraMount::Trajectory { base_from_camera } => {
-                count("its trajectory", base_from_camera.len(), frames)?;
-                base_from_camera
-                    .iter()
-                    .try_for_each(|item| pose("a pose of its trajectory", item))?;
-            }
-        }
-        if let Some(rgb) = &camera.rgb {
-            count("rgb", rgb.len(), product("rgb", &[frames, area, 3])?)?;
-        }
-        if let Some(depth) = &camera.depth {
-            count("depth", depth.depth_m.len(), product("depth", &[frames, area])?)?;
-            let [near, far] = depth.range_m;
-            ensure(near.is_finite() && far.is_finite() && near < far, || {
-                format!("its depth range is {near} to {far}")
-            })?;
-        }
-        Ok(())
-    }
-
-    fn check_tracks(&self, tracks: &Tracks, frames: usize) -> Check {
-        let points = tracks.camera.len();
-        ensure((tracks.anchor_frame as usize) < frames, || {
-            format!("track anchor {} of {frames}", tracks.anchor_frame)
-        })?;
-        count("track pixels", tracks.pixel.len(), product("tracks", &[points, 2])?)?;
-        count(
-            "track positions",
-            tracks.position_m.len(),
-            product("tracks", &[points, frames, 3])?,
-        )?;
-        count(
-            "track visibility",
-            tracks.visible.len(),
-            product("tracks", &[points, frames])?,
-        )?;
-        binary("track visibility", &tracks.visible)?;
-        let cameras = self.cameras.len() as u32;
-        ensure(tracks.camera.iter().all(|&camera| camera < cameras), || {
-            format!("a track lies in a camera that is not among the {cameras}")
-        })
-    }
 }

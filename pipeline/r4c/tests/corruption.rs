@@ -16,14 +16,17 @@ use std::path::Path;
 
 use common::Scratch;
 use forge::{CODEC, COORDINATES, DECODED, ELEMENTS, FLAGS, HASH, OFFSET, Parts, RESERVED, STORED, set};
-use rogs_schemas::r4c::{Codec, Dtype, Frame, Limits, Reader, StreamSpec, Unit, Writer, inspect, read_header, verify};
+use rogs_r4c::{
+    Codec, Dtype, Frame, Limits, Reader, Record, StreamSpec, Unit, Writer, inspect, read_header, read_record, verify,
+    write_record,
+};
+use rogs_schemas::SchemaId;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::Scores;
-use rogs_schemas::{Record, SchemaId, read_record, write_record};
 
 fn written<T: Record>(path: &Path, record: &T) -> Vec<u8> {
     write_record(path, record, &common::provenance("test")).unwrap();

@@ -1,0 +1,9 @@
+//! How each record lies in its container: its streams, in the order of `docs/spec/r4c.md`.
+
+mod arrays;
+mod clip;
+mod conditioning;
+mod field;
+mod refinement;
+mod robot;
+mod scores;
