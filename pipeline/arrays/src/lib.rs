@@ -4,6 +4,7 @@
 //! |---|---|---|
 //! | numpy `.npy` | [`NpyFile`] | [`npy_header`], [`npy_bytes`] |
 //! | numpy `.npz`, `.safetensors` | [`ArrayFile`] | [`write_npz`] |
+//! | HDF5 | [`Hdf5File`] | |
 //! | OpenEXR, one flat part | [`FlatExr`] | [`write_exr`] |
 //! | PNG | [`Png`] | [`write_png`] |
 //!
@@ -28,6 +29,7 @@
 mod dtype;
 mod error;
 mod exr;
+mod hdf5;
 mod named;
 mod npy;
 mod npz;
@@ -38,6 +40,7 @@ mod zip;
 pub use dtype::{Dtype, Scalar, Values, le_bytes};
 pub use error::{Error, Problem, Result};
 pub use exr::{FlatExr, write_exr};
+pub use hdf5::{Hdf5Dataset, Hdf5Element, Hdf5File, Hdf5Value};
 pub use named::{Array, ArrayFile};
 pub use npy::{NpyFile, npy_bytes, npy_header};
 pub use npz::{NamedArray, write_npz};
