@@ -83,10 +83,10 @@ class File:
             streams[chunk.stream].chunks.append(chunk)
 
     def head(self):
-        """The small structured data of a record of rogs, as a dict; for scores also `renders`."""
+        """The small structured data of a record of rogs, as a dict, with that of further streams by their names."""
         layouts = HEADS[self.schema]
-        heads = {name: read(self._cursor(name)) for name, read in layouts.items()}
-        first, *rest = layouts
+        heads = {name: read(self._cursor(name)) for name, read in layouts.items() if name in self.streams}
+        first, *rest = heads
         return heads[first] | {name: heads[name] for name in rest}
 
     def array(self, name):
@@ -373,14 +373,20 @@ _scores = _row(
     n_empty_support=_u32,
     invalid_gaussians=_u64,
 )
+_origins = _row(depth=_many(_text), tracks=_maybe(_text))
+_references = _many(_row(kind=_variant(depth=None, tracks=None), camera=_text, origin=_text))
 _renders = _many(_row(camera=_text, frame=_u32, height=_u32, width=_u32))
 HEADS = {
-    "rogs.clip": {"clip": _whole(_clip)},
+    "rogs.clip": {"clip": _whole(_clip), "reference_origins": _whole(_origins)},
     "rogs.robot": {"robot": _whole(_robot)},
     "rogs.conditioning": {"conditioning": _whole(_conditioning)},
     "rogs.field": {"field": _whole(_field)},
     "rogs.refinement": {"refinement": _whole(_refinement)},
-    "rogs.scores": {"summary": _whole(_scores), "renders": _whole(_renders)},
+    "rogs.scores": {
+        "summary": _whole(_scores),
+        "references": _whole(_references),
+        "renders": _whole(_renders),
+    },
 }
 
 

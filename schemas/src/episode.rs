@@ -5,6 +5,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::pose::{Intrinsics, RigidPose};
+use crate::records::origin::ReferenceOrigin;
 
 /// Value of [`Episode::format`].
 pub const EPISODE_FORMAT: &str = "rogs-episode 1";
@@ -143,6 +144,9 @@ pub struct EpisodeDepth {
     /// Depths outside this open interval are not scored, metres.
     #[serde(default = "default_range")]
     pub range_m: [f32; 2],
+    /// What made it; tables name it.
+    #[serde(default)]
+    pub origin: ReferenceOrigin,
 }
 
 fn default_range() -> [f32; 2] {
@@ -163,6 +167,9 @@ pub struct EpisodeTracks {
     pub position_m: String,
     /// 1 where the point is visible in its anchor camera, u8 `[K, F]`.
     pub visible: String,
+    /// What made them; tables name it.
+    #[serde(default)]
+    pub origin: ReferenceOrigin,
 }
 
 /// A 4x4 homogeneous matrix, row by row, as numpy's `tolist()` writes it.

@@ -109,6 +109,7 @@ fn fill(plan: &Plan) -> Anyhow<()> {
         robot_depth: vec![],
         n_empty_support: 0,
         invalid_gaussians: 0,
+        references: Vec::new(),
     };
     (0..plan.clips.len())
         .into_par_iter()

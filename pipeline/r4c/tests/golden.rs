@@ -19,6 +19,9 @@ use std::process::Command;
 use common::Scratch;
 use rogs_needs::needs;
 use rogs_r4c::{Reader, Record, read_record, write_record};
+use rogs_schemas::records::clip::Clip;
+use rogs_schemas::records::origin::ReferenceOrigin;
+use rogs_schemas::records::scores::Scores;
 
 fn golden(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
@@ -58,14 +61,45 @@ fn every_schema_version_stays_readable() {
     stays("scores", &common::scores());
 }
 
+/// Before 1.1 no record said where references come from: files of that version are read, and say that they do not.
+#[test]
+fn older_files_do_not_state_where_references_come_from() {
+    let mut clip = common::clip();
+    for camera in &mut clip.cameras {
+        camera
+            .depth
+            .iter_mut()
+            .for_each(|depth| depth.origin = ReferenceOrigin::NotStated);
+    }
+    clip.tracks
+        .iter_mut()
+        .for_each(|tracks| tracks.origin = ReferenceOrigin::NotStated);
+    let (read, _) = read_record::<Clip>(&golden("clip-1.0.r4c")).unwrap();
+    assert_eq!(format!("{read:?}"), format!("{clip:?}"));
+    let mut scores = common::scores();
+    scores.summary.references.clear();
+    let (read, _) = read_record::<Scores>(&golden("scores-1.0.r4c")).unwrap();
+    assert_eq!(format!("{read:?}"), format!("{scores:?}"));
+}
+
 /// The Python reader of `docs/spec/r4c.md` finds the same bytes, and takes the heads apart to their last byte.
 #[needs(zstandard)]
 #[test]
 fn python_reads_the_same_bytes() {
     let script = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../docs/python/r4c.py");
     let python = std::env::var("ROGS_PEER_PYTHON").unwrap_or_else(|_| "python3".into());
-    for name in ["clip", "robot", "conditioning", "field", "refinement", "scores"] {
-        let path = golden(&format!("{name}-1.0.r4c"));
+    let names = [
+        "clip-1.0",
+        "clip-1.1",
+        "robot-1.0",
+        "conditioning-1.0",
+        "field-1.0",
+        "refinement-1.0",
+        "scores-1.0",
+        "scores-1.1",
+    ];
+    for name in names {
+        let path = golden(&format!("{name}.r4c"));
         let output = Command::new(&python)
             .args([&script, &path])
             .arg("--hex")

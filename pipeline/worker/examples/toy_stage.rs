@@ -106,6 +106,7 @@ impl Stage for Toy {
                 robot_depth: vec![],
                 n_empty_support: 0,
                 invalid_gaussians: 0,
+                references: Vec::new(),
             },
             renders: vec![],
         };

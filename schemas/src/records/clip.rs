@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::check::{Check, area, ascending_frames, binary, count, ensure, finite, pose, product};
 use crate::ids::ClipId;
 use crate::pose::{Intrinsics, RigidPose};
+use crate::records::origin::{ReferenceKind, ReferenceOrigin, ReferenceUse};
 
 /// One clip, written by `ingest`. Frames are counted inside the clip: `0..frame_count()`.
 #[derive(Debug, Clone, PartialEq)]
@@ -98,6 +99,8 @@ pub struct DepthReference {
     pub depth_m: Vec<f32>,
     /// Depths outside this open interval are not scored, metres (default 0.1 to 5).
     pub range_m: [f32; 2],
+    /// What made it.
+    pub origin: ReferenceOrigin,
 }
 
 /// Joint and gripper states at every clip frame.
@@ -125,6 +128,8 @@ pub struct Tracks {
     pub position_m: Vec<f32>,
     /// 1 where the point is visible in its anchor camera at that frame. `[K, F]`
     pub visible: Vec<u8>,
+    /// What made them.
+    pub origin: ReferenceOrigin,
 }
 
 /// How [`Clip::calibration_note`] begins for episodes of the procedural generator.
@@ -159,6 +164,24 @@ impl Clip {
         frames.sort_unstable();
         frames.dedup();
         frames
+    }
+
+    /// What the clip can be scored against: depth by camera, then tracks.
+    #[must_use]
+    pub fn references(&self) -> Vec<ReferenceUse> {
+        let depth = self.cameras.iter().filter_map(|camera| {
+            Some(ReferenceUse {
+                kind: ReferenceKind::Depth,
+                camera: camera.id.clone(),
+                origin: camera.depth.as_ref()?.origin,
+            })
+        });
+        let tracks = self.tracks.as_ref().map(|tracks| ReferenceUse {
+            kind: ReferenceKind::Tracks,
+            camera: String::new(),
+            origin: tracks.origin,
+        });
+        depth.chain(tracks).collect()
     }
 
     /// Source views in the order of the Stage-1 tokens: camera-major, source cameras in order, times ascending.

@@ -4,6 +4,7 @@ pub mod check;
 pub mod clip;
 pub mod conditioning;
 pub mod field;
+pub mod origin;
 pub mod refinement;
 pub mod robot;
 pub mod scores;

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::check::{Check, area, count};
 use super::field::WeightsInfo;
 use crate::ids::ClipId;
+use crate::records::origin::ReferenceUse;
 
 /// Written by `score`. A metric that cannot be measured is `None`, never 0 (`docs/spec/scoring.md` section 11).
 #[derive(Debug, Clone, PartialEq)]
@@ -40,6 +41,9 @@ pub struct ScoreSheet {
     pub n_empty_support: u32,
     /// Gaussians dropped as invalid by the rasteriser, largest count over the renders.
     pub invalid_gaussians: u64,
+    /// What it was measured against: depth by camera, then tracks. It lies in a stream of its own.
+    #[serde(skip)]
+    pub references: Vec<ReferenceUse>,
 }
 
 /// Scores of one rendered image.

@@ -200,6 +200,7 @@ fn make_camera(
             Some(DepthReference {
                 depth_m,
                 range_m: params.depth_range_m.unwrap_or(depth.range_m),
+                origin: depth.origin,
             })
         }
     };
@@ -286,6 +287,7 @@ fn make_tracks(
         pixel: vec![],
         position_m: vec![],
         visible: vec![],
+        origin: tracks.origin,
     };
     for (index, &camera) in tracks.camera.iter().enumerate() {
         let place = places.get(camera as usize).copied();

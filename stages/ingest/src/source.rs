@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use rogs_schemas::records::clip::CameraRole;
+use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::{Intrinsics, RigidPose};
 
 use crate::images::FrameSource;
@@ -71,6 +72,7 @@ pub(crate) struct SourceDepth {
     /// `.npy` file or folder.
     pub(crate) path: PathBuf,
     pub(crate) range_m: [f32; 2],
+    pub(crate) origin: ReferenceOrigin,
 }
 
 /// Joints and gripper at every frame.
@@ -96,4 +98,5 @@ pub(crate) struct SourceTracks {
     pub(crate) position_m: Vec<f32>,
     /// `[K, F]`
     pub(crate) visible: Vec<u8>,
+    pub(crate) origin: ReferenceOrigin,
 }

@@ -18,6 +18,7 @@ use rogs_needs::needs;
 use rogs_schemas::episode::{Episode, EpisodeMount};
 use rogs_schemas::protocol::FailureCode;
 use rogs_schemas::records::clip::{CameraMount, CameraRole};
+use rogs_schemas::records::origin::ReferenceOrigin;
 
 /// The clip at the recorded size.
 fn params() -> Params {
@@ -82,8 +83,8 @@ fn everything_arrives() {
     );
     let depth = ext1.depth.as_ref().unwrap();
     assert_eq!(
-        (depth.range_m, depth.depth_m.len()),
-        ([0.2, 4.0], 17 * (HEIGHT * WIDTH) as usize)
+        (depth.range_m, depth.depth_m.len(), depth.origin),
+        ([0.2, 4.0], 17 * (HEIGHT * WIDTH) as usize, ReferenceOrigin::DepthCamera)
     );
     assert!(depth.depth_m[0].is_nan(), "0 means unknown");
     assert_eq!(
@@ -97,7 +98,10 @@ fn everything_arrives() {
         (&[0, 1, 1][..], &[10.0, 3.0, 39.0, 21.0, 0.0, 0.0][..])
     );
     assert_eq!(tracks.position_m[..3], [6.0 * 0.001, 7.0 * 0.001, 8.0 * 0.001]);
-    assert_eq!(tracks.visible.len(), 3 * 17);
+    assert_eq!(
+        (tracks.visible.len(), tracks.origin),
+        (3 * 17, ReferenceOrigin::PointTracker)
+    );
 }
 
 #[test]

@@ -15,6 +15,7 @@ use rogs_schemas::records::clip::DepthReference;
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::field::{Field, GATE_ATTRIBUTES, RAW_CHANNELS};
+use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_worker::Unobserved;
 
@@ -460,6 +461,7 @@ fn with_depth(larger: f64) -> Inputs {
         camera.depth = Some(DepthReference {
             depth_m,
             range_m: [0.1, 5.0],
+            origin: ReferenceOrigin::Exact,
         });
     }
     for pose in &mut inputs.robot.base_from_camera {

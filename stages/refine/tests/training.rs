@@ -13,6 +13,7 @@ use burn::tensor::Device;
 use rogs_refine::RefineParams;
 use rogs_refine::training::{AdamW, TermValues, TrainingOptions, TrainingStep, training_step};
 use rogs_schemas::records::clip::{CameraRole, DepthReference, Tracks};
+use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_stage2::objective::ObjectiveWeights;
 use rogs_stage2::weights::uniform;
 use rogs_stage2::{Refiner, RefinerConfig, parameter_shapes, seeded_parameters};
@@ -70,6 +71,7 @@ fn complete(seed: u64) -> Example {
             })
             .collect(),
         range_m: [0.1, 5.0],
+        origin: ReferenceOrigin::Exact,
     };
     let mut right = example.clip.cameras[1].clone();
     right.id = "ext1_right".into();
@@ -101,6 +103,7 @@ fn complete(seed: u64) -> Example {
         pixel: (0..count).flat_map(|k| [(3 + k) as f32, (2 + k % 9) as f32]).collect(),
         position_m: (0..count * frames * 3).map(position).collect(),
         visible: vec![1; count * frames],
+        origin: ReferenceOrigin::Exact,
     });
     example
 }

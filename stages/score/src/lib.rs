@@ -4,13 +4,14 @@
 //! [`Score`] is the stage that renders those predictions from a field. Nothing in the measures depends on how the
 //! predictions were made, so that outside methods are scored by the same code.
 //!
-//! [`summary`] and [`tables`] turn score sheets into the paper's tables; [`cohort`] selects the
+//! [`summary`] and [`tables`] turn score sheets into the paper's tables, with the [`origins`] of the references; [`cohort`] selects the
 //! episodes, [`folders`] scores images without a manifest, [`outside`] evaluates the fields of other methods.
 
 pub mod cohort;
 pub mod folders;
 pub mod measure;
 pub mod metrics;
+pub mod origins;
 pub mod outside;
 mod perceptual;
 pub mod pictures;

@@ -309,6 +309,7 @@ impl Score {
             robot_depth: Vec::new(),
             n_empty_support: 0,
             invalid_gaussians: 0,
+            references: clip.references(),
         }
     }
 

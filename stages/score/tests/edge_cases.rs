@@ -28,6 +28,7 @@ fn sheet(method: &str, clip: &str) -> ScoreSheet {
         robot_depth: vec![],
         n_empty_support: 0,
         invalid_gaussians: 0,
+        references: Vec::new(),
     }
 }
 

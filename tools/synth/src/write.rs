@@ -10,6 +10,7 @@ use rogs_arrays::{Scalar, le_bytes, npy_bytes, npy_header};
 use rogs_files::{Draft, DraftFile};
 use rogs_schemas::episode as layout;
 use rogs_schemas::records::clip::PROCEDURAL_NOTE;
+use rogs_schemas::records::origin::ReferenceOrigin;
 use serde::Serialize;
 
 use crate::cameras::{CAMERA_NAMES, CAMERAS, EpisodeCamera, Mount};
@@ -287,6 +288,7 @@ fn description(episode: &Episode, model: &str) -> layout::Episode {
             depth: Some(layout::EpisodeDepth {
                 path: format!("depth/{name}.npy"),
                 range_m: [0.1, 5.0],
+                origin: ReferenceOrigin::Exact,
             }),
         }
     };
@@ -318,6 +320,7 @@ fn description(episode: &Episode, model: &str) -> layout::Episode {
             pixel: "tracks/pixel.npy".into(),
             position_m: "tracks/position.npy".into(),
             visible: "tracks/visible.npy".into(),
+            origin: ReferenceOrigin::Exact,
         }),
     }
 }

@@ -6,6 +6,7 @@ use rogs_schemas::records::clip::{
     CameraMount, CameraRole, Clip, ClipCamera, DepthReference, PROCEDURAL_NOTE, RobotStates, Tracks,
 };
 use rogs_schemas::records::conditioning::Conditioning;
+use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_synth::{ARM_JOINT_NAMES, CAMERA_NAMES, CAMERAS, FIRST_OBJECT_ID, View};
 
@@ -94,6 +95,7 @@ impl ClipBuilder<'_> {
                 depth: Some(DepthReference {
                     depth_m,
                     range_m: DEPTH_RANGE_M,
+                    origin: ReferenceOrigin::Exact,
                 }),
                 ..camera(index)
             }
@@ -142,6 +144,7 @@ impl ClipBuilder<'_> {
             visible: (all.visible.chunks_exact(episode_frames))
                 .flat_map(|track| track[first..first + frames].iter().copied())
                 .collect(),
+            origin: ReferenceOrigin::Exact,
         }
     }
 

@@ -2,6 +2,7 @@
 
 use rogs_schemas::records::check::{area, count, product};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Tracks};
+use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::{ClipId, Intrinsics, SchemaId};
 use serde::{Deserialize, Serialize};
 
@@ -93,6 +94,17 @@ struct CameraHead {
     depth_range_m: Option<[f32; 2]>,
 }
 
+/// What made the references; absent before version 1.1.
+#[derive(Default, Serialize, Deserialize)]
+struct Origins {
+    /// Name of an origin for every camera with depth, in order.
+    depth: Vec<String>,
+    tracks: Option<String>,
+}
+
+/// Name of the stream of [`Origins`].
+const ORIGINS: &str = "reference_origins";
+
 #[derive(Serialize, Deserialize)]
 struct TracksHead {
     anchor_frame: u32,
@@ -103,7 +115,7 @@ impl Record for Clip {
     const SCHEMA: SchemaId = SchemaId {
         name: "rogs.clip",
         major: 1,
-        minor: 0,
+        minor: 1,
     };
 
     fn encode(&self, writer: &mut Writer) -> Result<()> {
@@ -139,6 +151,12 @@ impl Record for Clip {
             tracks: self.tracks.as_ref().map(tracks),
         };
         writer.value("clip", &head)?;
+        let depths = self.cameras.iter().filter_map(|camera| camera.depth.as_ref());
+        let origins = Origins {
+            depth: depths.map(|depth| depth.origin.to_string()).collect(),
+            tracks: self.tracks.as_ref().map(|tracks| tracks.origin.to_string()),
+        };
+        writer.value(ORIGINS, &origins)?;
         let area = self.height as usize * self.width as usize;
         let mut images = Vec::new();
         let mut depths = Vec::new();
@@ -172,6 +190,11 @@ impl Record for Clip {
         let frames = head.episode_frames.len();
         let mut rgb = reader.stream::<u8>(&RGB, &[head.height, head.width, 3])?;
         let mut depth = reader.stream::<f32>(&DEPTH, &[head.height, head.width])?;
+        let mut origins = if reader.has(ORIGINS) {
+            reader.value::<Origins>(ORIGINS)?
+        } else {
+            Origins::default()
+        };
         // Split off the back, so that each camera keeps its own allocation and nothing is copied twice.
         let rgb_length = product("rgb", &[frames, area, 3]).map_err(wrong)?;
         let depth_length = product("depth", &[frames, area]).map_err(wrong)?;
@@ -186,7 +209,12 @@ impl Record for Clip {
                 None => None,
                 Some(range_m) => {
                     let depth_m = take_back(&mut depth, depth_length, "depth").map_err(wrong)?;
-                    Some(DepthReference { depth_m, range_m })
+                    let origin = origin(origins.depth.pop()).map_err(wrong)?;
+                    Some(DepthReference {
+                        depth_m,
+                        range_m,
+                        origin,
+                    })
                 }
             };
             let CameraHead {
@@ -210,6 +238,7 @@ impl Record for Clip {
         cameras.reverse();
         count("rgb beyond its cameras", rgb.len(), 0).map_err(wrong)?;
         count("depth beyond its cameras", depth.len(), 0).map_err(wrong)?;
+        count("origins beyond the depth", origins.depth.len(), 0).map_err(wrong)?;
         let tracks = match head.tracks {
             None => None,
             Some(tracks) => {
@@ -219,6 +248,7 @@ impl Record for Clip {
                     pixel: reader.stream(&TRACK_PIXEL, &[2])?,
                     position_m: reader.stream(&TRACK_POSITION, &[frames as u32, 3])?,
                     visible: reader.stream(&TRACK_VISIBLE, &[frames as u32])?,
+                    origin: origin(origins.tracks.take()).map_err(wrong)?,
                 };
                 count("tracks", read.camera.len(), tracks.count as usize).map_err(wrong)?;
                 Some(read)
@@ -244,6 +274,11 @@ impl Record for Clip {
         clip.check().map_err(wrong)?;
         Ok(clip)
     }
+}
+
+/// The origin of this name; not stated where there is none.
+fn origin(name: Option<String>) -> std::result::Result<ReferenceOrigin, String> {
+    name.map_or(Ok(ReferenceOrigin::NotStated), |name| name.parse())
 }
 
 fn take_back<T>(values: &mut Vec<T>, length: usize, what: &str) -> std::result::Result<Vec<T>, String> {

@@ -2,6 +2,7 @@
 
 use rogs_schemas::SchemaId;
 use rogs_schemas::records::check::{area, count};
+use rogs_schemas::records::origin::{ReferenceKind, ReferenceUse};
 use rogs_schemas::records::scores::{RenderedView, ScoreSheet, Scores};
 use serde::{Deserialize, Serialize};
 
@@ -38,16 +39,35 @@ struct RenderHead {
     width: u32,
 }
 
+/// What was scored against; absent before version 1.1.
+#[derive(Serialize, Deserialize)]
+struct ReferenceHead {
+    kind: ReferenceKind,
+    camera: String,
+    /// Name of an origin.
+    origin: String,
+}
+
+/// Name of the stream of [`ReferenceHead`]s.
+const REFERENCES: &str = "references";
+
 impl Record for Scores {
     const SCHEMA: SchemaId = SchemaId {
         name: "rogs.scores",
         major: 1,
-        minor: 0,
+        minor: 1,
     };
 
     fn encode(&self, writer: &mut Writer) -> Result<()> {
         self.check().map_err(|what| writer.inconsistent(what))?;
         writer.value("summary", &self.summary)?;
+        let reference = |used: &ReferenceUse| ReferenceHead {
+            kind: used.kind,
+            camera: used.camera.clone(),
+            origin: used.origin.to_string(),
+        };
+        let references: Vec<_> = self.summary.references.iter().map(reference).collect();
+        writer.value(REFERENCES, &references)?;
         let head = |view: &RenderedView| RenderHead {
             camera: view.camera.clone(),
             frame: view.frame,
@@ -65,9 +85,16 @@ impl Record for Scores {
     }
 
     fn decode(reader: &Reader) -> Result<Self> {
-        let summary: ScoreSheet = reader.value("summary")?;
+        let mut summary: ScoreSheet = reader.value("summary")?;
         let heads: Vec<RenderHead> = reader.value("renders")?;
         let wrong = |what: String| reader.inconsistent(what);
+        if reader.has(REFERENCES) {
+            for head in reader.value::<Vec<ReferenceHead>>(REFERENCES)? {
+                let ReferenceHead { kind, camera, origin } = head;
+                let origin = origin.parse().map_err(wrong)?;
+                summary.references.push(ReferenceUse { kind, camera, origin });
+            }
+        }
         let rgb = reader.stream::<u8>(&RGB, &[3])?;
         let depth = reader.stream::<f32>(&DEPTH, &[])?;
         let (mut rgb_rest, mut depth_rest) = (rgb.as_slice(), depth.as_slice());

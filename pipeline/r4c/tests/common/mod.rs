@@ -10,6 +10,7 @@ use rogs_schemas::records::clip::{
 };
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::field::{Field, NamedArray, RAW_CHANNELS, TimeSlice, WeightsInfo};
+use rogs_schemas::records::origin::{ReferenceKind, ReferenceOrigin, ReferenceUse};
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::records::scores::{ImageScore, RenderedView, RobotDepthScore, ScoreSheet, Scores, TrackScore};
@@ -144,6 +145,7 @@ pub(crate) fn clip() -> Clip {
                 Some(DepthReference {
                     depth_m,
                     range_m: [0.1, 5.0],
+                    origin: ReferenceOrigin::FoundationStereo,
                 }),
             ),
             camera("ext1_right", CameraRole::Evaluation, Some(1), trajectory, None, None),
@@ -159,6 +161,7 @@ pub(crate) fn clip() -> Clip {
             pixel: vec![1.0, 2.0, 3.0, 0.0],
             position_m: floats(4, 2 * FRAMES * 3),
             visible: vec![1, 1, 0, 1, 0, 0],
+            origin: ReferenceOrigin::Kinematics,
         }),
     }
 }
@@ -332,6 +335,18 @@ pub(crate) fn scores() -> Scores {
         }],
         n_empty_support: 1,
         invalid_gaussians: 0,
+        references: vec![
+            ReferenceUse {
+                kind: ReferenceKind::Depth,
+                camera: "ext1".into(),
+                origin: ReferenceOrigin::ClassicalStereo,
+            },
+            ReferenceUse {
+                kind: ReferenceKind::Tracks,
+                camera: String::new(),
+                origin: ReferenceOrigin::Kinematics,
+            },
+        ],
     };
     Scores {
         summary,

@@ -9,6 +9,7 @@ use rogs_schemas::protocol::FailureCode;
 use rogs_schemas::records::clip::{CameraMount, Clip, ClipCamera};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
+use rogs_score::origins;
 use rogs_score::summary::ImageMetric::{AbsRel, Delta1, Lpips, Psnr, Rmse, Ssim};
 use rogs_score::summary::{ImageMetric, Metric, clip_value};
 
@@ -187,6 +188,7 @@ fn score_table(method: &str, sheet: &ScoreSheet) -> Markup {
             "robot EPE " (number(clip_value(sheet, Metric::RobotEpe), 2))
             " mm, robot depth error " (number(clip_value(sheet, Metric::RobotDepth), 1)) " mm"
             @if let Some(note) = &sheet.lpips_note { "; LPIPS: " (note) }
+            @for note in origins::described(sheet) { "; " (note) }
         }
     }
 }

@@ -153,6 +153,7 @@ fn open_camera(
         Some(depth) => Some(SourceDepth {
             path: inside(root, &depth.path, path)?,
             range_m: depth.range_m,
+            origin: depth.origin,
         }),
         None => None,
     };
@@ -309,5 +310,6 @@ fn read_tracks(root: &Path, json: &Path, tracks: &EpisodeTracks, frames: u32) ->
         pixel: floats(pixel),
         position_m: floats(position),
         visible: visible.into_iter().map(|value| value as u8).collect(),
+        origin: tracks.origin,
     })
 }

@@ -9,6 +9,7 @@ use rogs_schemas::episode::{
     EPISODE_FORMAT, Episode, EpisodeCamera, EpisodeCameraRole, EpisodeDepth, EpisodeMount, EpisodeRobot, EpisodeTracks,
     Matrix4, PixelCentres,
 };
+use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::{Intrinsics, RigidPose};
 
 pub(crate) const FRAMES: u32 = 20;
@@ -82,6 +83,7 @@ pub(crate) fn description() -> Episode {
     ext1.depth = Some(EpisodeDepth {
         path: "ext1_depth.npy".into(),
         range_m: [0.2, 4.0],
+        origin: ReferenceOrigin::DepthCamera,
     });
     let trajectory = EpisodeMount::Trajectory {
         base_from_camera: "right.npy".into(),
@@ -92,6 +94,7 @@ pub(crate) fn description() -> Episode {
     right.depth = Some(EpisodeDepth {
         path: "right_depth".into(),
         range_m: [0.1, 5.0],
+        origin: ReferenceOrigin::NotStated,
     });
     Episode {
         format: EPISODE_FORMAT.into(),
@@ -112,6 +115,7 @@ pub(crate) fn description() -> Episode {
             pixel: "tracks/pixel.npy".into(),
             position_m: "tracks/position.npy".into(),
             visible: "tracks/visible.npy".into(),
+            origin: ReferenceOrigin::PointTracker,
         }),
     }
 }

@@ -2,8 +2,10 @@
 
 use std::collections::BTreeSet;
 
+use rogs_schemas::records::origin::ReferenceKind;
 use rogs_schemas::records::scores::ScoreSheet;
 
+use crate::origins;
 use crate::summary::{OUTSIDE_SCALED, SheetSet};
 use crate::tables::id::TableId;
 use crate::tables::layout::{Layout, Origin};
@@ -55,6 +57,10 @@ pub(crate) fn of(
     if has("AbsRel") || has("RMSE") || has("delta1") {
         notes.extend(without_support(&all));
     }
+    let depth = ["AbsRel", "RMSE", "delta1", "robot depth"].into_iter().any(has);
+    let kinds = [(ReferenceKind::Depth, depth), (ReferenceKind::Tracks, has("EPE"))];
+    let kinds = kinds.into_iter().filter_map(|(kind, shown)| shown.then_some(kind));
+    notes.extend(origins::counted(&all, &kinds.collect::<Vec<_>>()));
     let untrained = all
         .iter()
         .filter(|sheet| sheet.weights.iter().any(|weights| !weights.trained));

@@ -3,6 +3,7 @@
 #![allow(dead_code)] // Every test program uses a part.
 
 use rogs_random::Pcg64;
+use rogs_schemas::records::origin::{ReferenceKind, ReferenceOrigin, ReferenceUse};
 use rogs_schemas::records::scores::{ImageScore, RobotDepthScore, ScoreSheet, TrackScore};
 use rogs_score::cohort::CohortCounts;
 use rogs_score::timing::ClipTiming;
@@ -21,6 +22,7 @@ pub(crate) fn empty_sheet(method: &str, setting: &str, clip: &str) -> ScoreSheet
         robot_depth: vec![],
         n_empty_support: 0,
         invalid_gaussians: 0,
+        references: Vec::new(),
     }
 }
 
@@ -101,6 +103,7 @@ pub(crate) fn run() -> (Vec<ScoreSheet>, Vec<ClipTiming>) {
                     robot_depth_mm,
                     core_n: 50,
                 }];
+                sheet.references = references(clip);
                 sheets.push(sheet);
                 timings.push(ClipTiming {
                     method: (*method).into(),
@@ -119,6 +122,25 @@ pub(crate) fn run() -> (Vec<ScoreSheet>, Vec<ClipTiming>) {
         }
     }
     (sheets, timings)
+}
+
+/// Every fourth clip has the references that the pipeline makes, the others those of caches.
+fn references(clip: usize) -> Vec<ReferenceUse> {
+    let (depth, tracks) = if clip.is_multiple_of(4) {
+        (ReferenceOrigin::ClassicalStereo, ReferenceOrigin::Kinematics)
+    } else {
+        (ReferenceOrigin::FoundationStereo, ReferenceOrigin::PointTracker)
+    };
+    let used = |kind, camera: &str, origin| ReferenceUse {
+        kind,
+        camera: camera.to_owned(),
+        origin,
+    };
+    vec![
+        used(ReferenceKind::Depth, "wrist", depth),
+        used(ReferenceKind::Depth, "wrist_right", depth),
+        used(ReferenceKind::Tracks, "", tracks),
+    ]
 }
 
 /// Counts of a cohort.

@@ -17,6 +17,7 @@ use rogs_schemas::records::clip::{
     CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, SourceView, Tracks,
 };
 use rogs_schemas::records::field::{Field, TimeSlice, WeightsInfo};
+use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::records::scores::Scores;
@@ -59,6 +60,7 @@ pub(crate) fn clip(with_references: bool) -> Clip {
             DepthReference {
                 depth_m,
                 range_m: [0.1, 5.0],
+                origin: ReferenceOrigin::DepthCamera,
             }
         }),
     };
@@ -105,6 +107,7 @@ pub(crate) fn clip(with_references: bool) -> Clip {
             pixel: pixels.concat(),
             position_m,
             visible: vec![1; 3 * FRAMES],
+            origin: ReferenceOrigin::Exact,
         }),
     }
 }

@@ -10,6 +10,7 @@ use rogs_schemas::SchemaId;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates};
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
+use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps, RobotSpec};
 use rogs_schemas::{ClipId, Intrinsics, RigidPose};
 use rogs_worker::{Context, Stage, StageError, StageResult};
@@ -70,6 +71,7 @@ impl Stage for Ingest {
             depth: Some(DepthReference {
                 depth_m: vec![1.5; FRAMES * HEIGHT * WIDTH],
                 range_m: [0.1, 5.0],
+                origin: ReferenceOrigin::Exact,
             }),
         };
         let clip = Clip {
