@@ -167,8 +167,5 @@ fn inspect_tells_ranges_and_sizes() {
     let streams = json["streams"].as_array().unwrap();
     let depth_json = streams.iter().find(|stream| stream["name"] == "depth_m").unwrap();
     assert_eq!(depth_json["unit"], "metre");
-    assert_eq!(
-        depth_json["stored_bytes"].as_u64().unwrap(),
-        depth.totals.stored_bytes
-    );
+    assert_eq!(depth_json["stored_bytes"].as_u64().unwrap(), depth.totals.stored_bytes);
 }

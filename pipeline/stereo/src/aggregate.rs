@@ -49,7 +49,9 @@ pub(crate) fn aggregate(image: &Grey, costs: &[u8], range: Range, params: &Match
 /// The two paths along every row.
 fn along_rows(image: &Grey, costs: &[u8], sums: &mut [i16], stride: usize, penalties: Penalties) {
     let width = image.width();
-    let rows = sums.par_chunks_mut(width * stride).zip(costs.par_chunks(width * stride));
+    let rows = sums
+        .par_chunks_mut(width * stride)
+        .zip(costs.par_chunks(width * stride));
     rows.enumerate().for_each(|(row, (sums, costs))| {
         let grey = image.row(row);
         for backwards in [false, true] {
@@ -97,34 +99,36 @@ fn over_rows(image: &Grey, costs: &[u8], sums: &mut [i16], stride: usize, penalt
             .zip(least_here.par_chunks_mut(COLUMNS * DIRECTIONS))
             .zip(sums.par_chunks_mut(COLUMNS * stride))
             .zip(costs.par_chunks(COLUMNS * stride));
-        pieces.enumerate().for_each(|(piece, (((here, least_here), sums), costs))| {
-            vectorised(
-                #[inline(always)]
-                || {
-                    let pixels = here
-                        .chunks_exact_mut(place)
-                        .zip(least_here.chunks_exact_mut(DIRECTIONS))
-                        .zip(sums.chunks_exact_mut(stride).zip(costs.chunks_exact(stride)));
-                    for (column, ((here, least_here), (sums, costs))) in pieces_at(piece).zip(pixels) {
-                        for direction in 0..DIRECTIONS {
-                            let here = &mut here[direction * (stride + 2)..][..stride + 2];
-                            // Column 0 has no column to its left: it wraps beyond the width.
-                            let from = (column + direction).wrapping_sub(1);
-                            least_here[direction] = match last.and_then(|last| last.get(from)) {
-                                None => begin(costs, here, sums),
-                                Some(&other) => {
-                                    let at = from * place + direction * (stride + 2);
-                                    let large = penalties.large(grey[column], other);
-                                    let least = least_before[from * DIRECTIONS + direction];
-                                    let before = &before[at..][..stride + 2];
-                                    advance(costs, before, least, penalties.small, large, here, sums)
-                                }
-                            };
+        pieces
+            .enumerate()
+            .for_each(|(piece, (((here, least_here), sums), costs))| {
+                vectorised(
+                    #[inline(always)]
+                    || {
+                        let pixels = here
+                            .chunks_exact_mut(place)
+                            .zip(least_here.chunks_exact_mut(DIRECTIONS))
+                            .zip(sums.chunks_exact_mut(stride).zip(costs.chunks_exact(stride)));
+                        for (column, ((here, least_here), (sums, costs))) in pieces_at(piece).zip(pixels) {
+                            for direction in 0..DIRECTIONS {
+                                let here = &mut here[direction * (stride + 2)..][..stride + 2];
+                                // Column 0 has no column to its left: it wraps beyond the width.
+                                let from = (column + direction).wrapping_sub(1);
+                                least_here[direction] = match last.and_then(|last| last.get(from)) {
+                                    None => begin(costs, here, sums),
+                                    Some(&other) => {
+                                        let at = from * place + direction * (stride + 2);
+                                        let large = penalties.large(grey[column], other);
+                                        let least = least_before[from * DIRECTIONS + direction];
+                                        let before = &before[at..][..stride + 2];
+                                        advance(costs, before, least, penalties.small, large, here, sums)
+                                    }
+                                };
+                            }
                         }
-                    }
-                },
-            );
-        });
+                    },
+                );
+            });
         std::mem::swap(&mut before, &mut here);
         std::mem::swap(&mut least_before, &mut least_here);
     }

@@ -137,11 +137,19 @@ mod tests {
     #[test]
     fn what_the_images_do_not_say_is_unknown() {
         let (width, height) = (20, 6);
-        let evidence: Vec<f32> = (0..width * height).map(|at| if at % width < 10 { 8.0 } else { 0.0 }).collect();
+        let evidence: Vec<f32> = (0..width * height)
+            .map(|at| if at % width < 10 { 8.0 } else { 0.0 })
+            .collect();
         let mut disparity = vec![3.0; width * height];
         remove_unsupported(&mut disparity, &evidence, width, 4.0);
-        let known = (0..width).filter(|&column| !disparity[2 * width + column].is_nan()).collect::<Vec<_>>();
-        assert_eq!(known, (0..10).collect::<Vec<_>>(), "windows with at least half of their evidence");
+        let known = (0..width)
+            .filter(|&column| !disparity[2 * width + column].is_nan())
+            .collect::<Vec<_>>();
+        assert_eq!(
+            known,
+            (0..10).collect::<Vec<_>>(),
+            "windows with at least half of their evidence"
+        );
     }
 
     #[test]

@@ -98,7 +98,11 @@ fn smoothed(costs: &[u8], width: usize, range: Range) -> Vec<u8> {
     let mut out = vec![FILL; costs.len()];
     out.par_chunks_mut(line).enumerate().for_each(|(row, out)| {
         let row_of = |row: usize| &costs[row * line..][..line];
-        let rows = [row_of(row.saturating_sub(1)), row_of(row), row_of((row + 1).min(height - 1))];
+        let rows = [
+            row_of(row.saturating_sub(1)),
+            row_of(row),
+            row_of((row + 1).min(height - 1)),
+        ];
         let mut sums = vec![0u16; line];
         vectorised(
             #[inline(always)]
@@ -109,7 +113,11 @@ fn smoothed(costs: &[u8], width: usize, range: Range) -> Vec<u8> {
                 }
                 for (column, out) in out.chunks_exact_mut(stride).enumerate() {
                     let of = |column: usize| &sums[column * stride..][..range.count];
-                    let (left, here, right) = (of(column.saturating_sub(1)), of(column), of((column + 1).min(width - 1)));
+                    let (left, here, right) = (
+                        of(column.saturating_sub(1)),
+                        of(column),
+                        of((column + 1).min(width - 1)),
+                    );
                     for ((out, &left), (&here, &right)) in out.iter_mut().zip(left).zip(here.iter().zip(right)) {
                         *out = (((left + here + right) * u16::from(UNITS) + WINDOW / 2) / WINDOW) as u8;
                     }

@@ -26,7 +26,9 @@ impl Grey {
     /// When `rgb` has another length.
     pub fn of_rgb(width: usize, height: usize, rgb: &[u8]) -> Result<Self> {
         check(width, height, width.saturating_mul(height).saturating_mul(3), rgb.len())?;
-        let luma = |[r, g, b]: &[u8; 3]| ((299 * u32::from(*r) + 587 * u32::from(*g) + 114 * u32::from(*b) + 500) / 1000) as u8;
+        let luma = |[r, g, b]: &[u8; 3]| {
+            ((299 * u32::from(*r) + 587 * u32::from(*g) + 114 * u32::from(*b) + 500) / 1000) as u8
+        };
         let pixels = rgb.as_chunks::<3>().0.iter().map(luma).collect();
         Ok(Self { width, height, pixels })
     }

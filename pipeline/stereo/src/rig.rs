@@ -54,7 +54,13 @@ impl Rig {
         let (mut rows_px, mut columns_px) = (0.0f64, 0.0f64);
         let shift_px = left.intrinsics.cx - right.intrinsics.cx;
         let (width, height) = (f64::from(left.width), f64::from(left.height));
-        for pixel in [[0.0, 0.0], [width, 0.0], [0.0, height], [width, height], [0.5 * width, 0.5 * height]] {
+        for pixel in [
+            [0.0, 0.0],
+            [width, 0.0],
+            [0.0, height],
+            [width, height],
+            [0.5 * width, 0.5 * height],
+        ] {
             let seen = DVec2::from_array(pixel);
             let ray = left.unproject(seen, 1.0);
             let far = right.project(right_from_left.direction(ray));

@@ -34,21 +34,15 @@ pub(crate) fn winners(sums: &[i16], costs: &[u8], width: usize, range: Range, pa
         .zip(out.right.par_chunks_mut(width))
         .zip(out.evidence.par_chunks_mut(width));
     let volumes = sums.par_chunks(width * stride).zip(costs.par_chunks(width * stride));
-    rows.zip(volumes).for_each(|(((left, right), evidence), (sums, costs))| {
-        left_row(sums, costs, range, params, left, evidence);
-        right_row(sums, range, params, right);
-    });
+    rows.zip(volumes)
+        .for_each(|(((left, right), evidence), (sums, costs))| {
+            left_row(sums, costs, range, params, left, evidence);
+            right_row(sums, range, params, right);
+        });
     out
 }
 
-fn left_row(
-    sums: &[i16],
-    costs: &[u8],
-    range: Range,
-    params: &MatcherParams,
-    left: &mut [f32],
-    evidence: &mut [f32],
-) {
+fn left_row(sums: &[i16], costs: &[u8], range: Range, params: &MatcherParams, left: &mut [f32], evidence: &mut [f32]) {
     let (width, stride) = (left.len(), range.stride());
     let uniqueness = i32::from(params.uniqueness_percent);
     let mut scratch = vec![0i16; range.count];

@@ -15,7 +15,7 @@ use rogs_schemas::records::field::WeightsInfo;
 use rogs_schemas::records::scores::{ScoreSheet, TrackScore};
 use rogs_score::metrics::bootstrap_interval;
 use rogs_score::summary::{ImageMetric, Metric, SheetSet, clip_value, summarise};
-use rogs_score::tables::{Cell, Table, TableError, TableId, TableInput, TableOptions, table};
+use rogs_score::tables::{Cell, Column, Table, TableError, TableId, TableInput, TableOptions, table};
 use rogs_score::timing::ClipTiming;
 use serde_json::Value;
 
@@ -263,38 +263,32 @@ fn duplicates_are_refused_and_unknown_methods_shown() {
 #[test]
 fn tables_name_the_origin_of_every_reference() {
     let (mut sheets, _) = run();
-    let input = |sheets| TableInput {
-        sheets,
-        timings: &[],
-        cohort: None,
+    let made = |id: TableId, sheets: &[ScoreSheet]| {
+        let input = TableInput {
+            sheets,
+            timings: &[],
+            cohort: None,
+        };
+        table(id, &input, TableOptions::default()).unwrap()
     };
-    let notes = |id, sheets: &[ScoreSheet]| table(id, &input(sheets), TableOptions::default()).unwrap().footnotes;
     let depth = "depth references: FoundationStereo cache (n=30), classical stereo (n=10)".to_owned();
     let tracks = "track references: point tracker (n=30), kinematics (n=10)".to_owned();
     for id in TableId::ALL {
-        let table = table(id, &input(&sheets), TableOptions::default()).unwrap();
+        let table = made(id, &sheets);
         let has = |words: &[&str]| {
-            table
-                .columns
-                .iter()
-                .any(|column| words.iter().any(|word| column.name.contains(word)))
+            let named = |column: &Column| words.iter().any(|word| column.name.contains(word));
+            table.columns.iter().any(named)
         };
-        let (of_depth, of_tracks) = (has(&["AbsRel", "RMSE", "delta1", "robot depth"]), has(&["EPE"]));
-        let limited = matches!(id, TableId::Recurrence | TableId::LatentResolution);
-        let named = |what: &str| table.footnotes.iter().any(|note| note.starts_with(what));
-        assert_eq!(named("depth references: "), of_depth, "{id}: {:?}", table.footnotes);
-        assert_eq!(named("track references: "), of_tracks, "{id}: {:?}", table.footnotes);
-        if of_depth && !limited {
-            assert!(table.footnotes.contains(&depth), "{id}: {:?}", table.footnotes);
-        }
-        if of_tracks && !limited {
-            assert!(table.footnotes.contains(&tracks), "{id}: {:?}", table.footnotes);
+        let expected = [
+            (&depth, has(&["AbsRel", "RMSE", "delta1", "robot depth"])),
+            (&tracks, has(&["EPE"])),
+        ];
+        for (note, shown) in expected {
+            assert_eq!(table.footnotes.contains(note), shown, "{id}: {:?}", table.footnotes);
         }
     }
     sheets.iter_mut().for_each(|sheet| sheet.references.clear());
-    let found = notes(TableId::Main, &sheets);
-    assert!(
-        found.contains(&"depth references: origin not stated (n=40)".to_owned()),
-        "{found:?}"
-    );
+    let notes = made(TableId::Main, &sheets).footnotes;
+    let unstated = "depth references: origin not stated (n=40)".to_owned();
+    assert!(notes.contains(&unstated), "{notes:?}");
 }
