@@ -1,12 +1,6 @@
 //! What scripts rely on: exit codes, streams, completions, the schema for editors, and plans that other engines run.
 //! `json_output.rs` is about `--json`, `snapshots.rs` about help texts.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 
 mod support;

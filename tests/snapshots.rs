@@ -1,12 +1,6 @@
 //! Text that people and scripts read, as it was when somebody last looked at it: help, plans, tables.
 //! `UPDATE_EXPECT=1 cargo test --workspace --test snapshots` writes `tests/snapshots/`.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 #[path = "support/golden.rs"]
 mod golden;

@@ -24,10 +24,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-#![allow(
-    clippy::disallowed_methods,
-    reason = "the one place that creates and renames files; everybody else calls it"
-)]
+#![allow(clippy::disallowed_methods, reason = "the one place that creates and renames files; everybody else calls it")]
 
 mod atomic;
 mod draft;

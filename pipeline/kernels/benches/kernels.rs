@@ -1,13 +1,7 @@
 //! Kernels beside the crate `gemm`, on one thread, in one run: medians of time, one call of ours and one of theirs in turn.
 //!
 //! `cargo bench -p rogs-kernels --bench kernels`
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use std::hint::black_box;
 use std::time::Instant;

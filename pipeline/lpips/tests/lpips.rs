@@ -1,13 +1,7 @@
 //! LPIPS against the values of the `lpips` package for two trunks of generated weights with the real heads.
 //! `cargo test -p rogs-lpips --features tensors,pytorch --test lpips -- --nocapture` prints the worst errors;
 //! `ROGS_LONG_TESTS=1` adds the full trunk.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -3,13 +3,7 @@
 //! `cargo run --release -p rogs-orchestrator --example scale -- [CLIPS [RUN_CLIPS [FACTOR]]]` (after `--example toy_pipeline`):
 //! plans CLIPS text episodes (default 10,000), looks at their state with no output and with all outputs there, plans ten
 //! and FACTOR (default 100) times as many clips without files, and runs RUN_CLIPS (default 200) through the executor.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of examples may be left half-written")]
 
 use std::path::{Path, PathBuf};

@@ -1,11 +1,5 @@
 //! Killing everything at any moment: nothing is lost, nothing is half written, the bytes stay the same.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 
 mod common;

@@ -1,12 +1,6 @@
 //! What the world does to a run besides killing it: operations that fail, full disks, limits, hangs, wrong clocks.
 //! `docs/faults.md` is the table of these cases.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 
 mod common;

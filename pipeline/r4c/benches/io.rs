@@ -6,13 +6,7 @@
 //! and in CPU time of all threads; the second is what a busy machine can measure.
 //!
 //! Floors: write 1.5 times and read 1.0 times the best peer, for f32 at a ratio within 2 % of the best peer's.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of benchmarks may be left half-written")]
 #![allow(missing_docs, reason = "a program")]
 

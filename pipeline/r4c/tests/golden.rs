@@ -2,13 +2,7 @@
 //!
 //! `UPDATE_EXPECT=1 cargo test -p rogs-r4c --test golden` writes missing files; an existing one is never replaced,
 //! because a changed layout needs a new version.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 mod common;
 

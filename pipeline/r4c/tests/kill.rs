@@ -1,11 +1,5 @@
 //! A writer that is killed leaves the old file, the new one, or none; never half of one.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![cfg(unix)]
 
 mod common;

@@ -1,11 +1,5 @@
 //! Bit-equality with numpy 2.4.6: every value here was written by numpy.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use rogs_random::{Pcg64, SeedSequence, episode_words, query_plan};
 use serde_json::Value;

@@ -1,11 +1,5 @@
 //! The report of a small fixed run: the page, and the table files beside it. `UPDATE_EXPECT=1` writes what is expected anew.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 mod support;
 

@@ -1,11 +1,5 @@
 //! Every table of a made-up run in every form, as it is printed. `UPDATE_EXPECT=1` writes what is expected anew.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 #[path = "../../../stages/score/tests/support/made_up.rs"]
 mod made_up;

@@ -1,12 +1,6 @@
 //! All link transforms of the Panda with its gripper, random configurations: the batched kernel beside the `k` crate in
 //! the same run (goal G-FK: at least 3 times the `k` crate at 2 threads, 5 times is the target).
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 mod common;
 

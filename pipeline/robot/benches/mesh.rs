@@ -3,13 +3,7 @@
 //! Open3D with its tree already built).
 //!
 //! The peers draw exactly the scene that this program writes, see `peers/mesh.py`.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of benchmarks may be left half-written")]
 
 mod common;

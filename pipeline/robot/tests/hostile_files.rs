@@ -1,12 +1,6 @@
 //! Readers of robots and meshes on random and damaged files: no panic, bounded memory, always a message.
 //! More cases with `PROPTEST_CASES=100000`.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -24,10 +18,7 @@ struct Counting;
 static LIVE: AtomicUsize = AtomicUsize::new(0);
 static PEAK: AtomicUsize = AtomicUsize::new(0);
 
-#[allow(
-    unsafe_code,
-    reason = "a counting allocator that hands everything on to the system's"
-)]
+#[allow(unsafe_code, reason = "a counting allocator that hands everything on to the system's")]
 // SAFETY: every call is handed on unchanged to the system allocator; the counters touch no memory of the caller.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {

@@ -1,11 +1,5 @@
 //! `rogs render` on a small wall of Gaussians: pictures, arrays for Python, PLY files in two frames.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 
 use std::collections::BTreeMap;

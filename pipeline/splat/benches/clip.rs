@@ -4,13 +4,7 @@
 //! `cargo bench -p rogs-splat` prints times of forward, forward + backward and pooled contributions for 1 and 2 threads.
 //! With `ROGS_GSREF` set to the shared library of an AVX-512 sketch with the same rules (C function `gsref`), the sketch
 //! is timed in turns with ours and ratios are printed. `ROGS_BENCH_ROUNDS` sets the number of rounds (default 7).
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(missing_docs)]
 
 use std::time::Instant;

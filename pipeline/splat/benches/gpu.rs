@@ -4,13 +4,7 @@
 //! `ROGS_BENCH_PARTS` (single, clip, contributions), `ROGS_BENCH_ROUNDS` and `ROGS_BENCH_SIZE` (Gaussians a source image,
 //! as WIDTHxHEIGHT) choose what runs. The clip is 8 query times x 6 cameras of 154 x 280 (rows x columns): per time the
 //! centres are replaced, all else stays on the device; images are read back.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 #[path = "../tests/common/room.rs"]
 mod room;

@@ -1,12 +1,6 @@
 //! Renders the synthetic room of the benchmark from its third camera: `cargo run -p rogs-splat --example room -- FOLDER`
 //! writes `room.ppm` (colour), `depth.pgm` (expected depth, near is dark) and `alpha.pgm`.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of examples may be left half-written")]
 
 use std::path::PathBuf;

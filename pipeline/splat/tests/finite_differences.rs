@@ -1,11 +1,5 @@
 //! Gradients against central differences of a slow, independent float64 renderer written straight from the formulas.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 mod common {
     pub(crate) mod random;

@@ -1,12 +1,6 @@
 //! What must hold for every scene (`docs/spec/rasteriser.md` sections 10 and 12): neither tiles, instruction sets, threads
 //! nor the order of the input show in the result, and the sums obey their identities.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 mod common {
     pub(crate) mod random;

@@ -1,11 +1,5 @@
 //! No input makes the rasteriser panic or return a value that is not a number; what is dropped is counted.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 mod common {
     pub(crate) mod random;

@@ -2,13 +2,7 @@
 //!
 //! `ROGS_PEER_PYTHON=python cargo bench -p rogs-stage1 --bench stage1 -- [CONFIGURATION] [whole]`, where that Python has
 //! `torch`; without the variable our times are printed alone. Both sides use as many threads as rayon does.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use std::io::Write as _;
 use std::process::{Command, Stdio};

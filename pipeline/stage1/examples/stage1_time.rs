@@ -1,11 +1,5 @@
 //! Times the parts of the Stage-1 network on random frames: `cargo run --release -p rogs-stage1 --example stage1_time`.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 use burn::tensor::{Device, Tensor};
 use glam::DVec3;
 use rogs_geometry::Pose;

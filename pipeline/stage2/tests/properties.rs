@@ -1,11 +1,5 @@
 //! Properties of the Stage-2 network: what it must do for any weights, and that gradients reach what is trained.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use burn::tensor::{Device, Tensor};
 use rogs_stage2::updater::Neighbours;

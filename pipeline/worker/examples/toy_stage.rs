@@ -1,11 +1,5 @@
 //! The smallest stage: copies the text of its source into a scores record. The tests of this crate run it.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of examples may be left half-written")]
 
 use std::collections::BTreeMap;

@@ -1,12 +1,6 @@
 //! FK conditioning maps of 15 source views and 8 query times at 280x154 beside numpy in the same run (goal G-FKMAP: dense
 //! at least 6 times the best peer, 10 times is the target; sparse at least 20 times).
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of benchmarks may be left half-written")]
 
 use std::path::Path;

@@ -1,11 +1,5 @@
 //! The conditioning maps against `project_fk_conditioning` of the Stage-1 reference vectors.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use rogs_conditioning::{Params, build};
 use rogs_geometry::{Base, Camera, Link, Pose, Recon};

@@ -1,11 +1,5 @@
 //! Latents of a tokenizer in place of RGB tokens.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -1,11 +1,5 @@
 //! Lifting of small clips made here: what a field contains, the interventions, queries, determinism.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use rogs_lift::{
     ClipInputs, CrossCamera, FieldQuery, LiftParams, Model, MotionOptions, Numbers, RobotMotion, lift_clip, load_model,

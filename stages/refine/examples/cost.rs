@@ -2,13 +2,7 @@
 //!
 //! `cargo run --release -p rogs-refine --example cost -- PRESET [UPDATES] [HEIGHT WIDTH]`
 //! The clip is made from formulas and the network has a random head; neither changes the amount of work.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 #[path = "../tests/support/mod.rs"]
 mod support;

@@ -5,13 +5,7 @@
 //! rotations and opacities are wrong. It shows that the recurrence learns from rendering feedback; weights for real
 //! clips need real clips and the whole objective. With FOLDER, writes observation, Stage 1 and the refined render of one
 //! unseen clip side by side as a PPM picture.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of examples may be left half-written")]
 
 #[path = "../tests/support/mod.rs"]

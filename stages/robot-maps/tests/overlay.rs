@@ -3,13 +3,7 @@
 //! The measure is the share of outline pixels that have an image edge within 2 px. By itself it says little, because
 //! edges are everywhere; so the same share is taken for the outline moved by 8 to 12 px in many directions, and the true
 //! place must stand out from them.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -2,13 +2,7 @@
 //! interpreter that has numpy, OpenCV, scikit-image, torch and lpips. LPIPS runs on random weights of VGG16's size.
 //!
 //! `ROGS_PEER_PYTHON=python cargo bench -p rogs-score --bench metrics`
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use std::collections::BTreeMap;
 use std::process::Command;

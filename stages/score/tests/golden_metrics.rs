@@ -1,12 +1,6 @@
 //! The metric library against values of numpy, scikit-image and torchmetrics. Prints the worst error of each group
 //! (`cargo test -p rogs-score --test golden_metrics -- --nocapture`).
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use rogs_random::Pcg64;
 use rogs_score::metrics::{

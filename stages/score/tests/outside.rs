@@ -1,11 +1,5 @@
 //! Outside fields against values of their own public code.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use rogs_geometry::{Base, Camera, Pose, Similarity};
 use rogs_needs::{needs, shared};

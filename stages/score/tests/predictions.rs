@@ -1,12 +1,6 @@
 //! Outside methods from files: the same field scored as PLY, as `.npz`, as rendered images and camera-wise must have the
 //! scores that it has as a field of rogs.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 
 mod support;

@@ -1,12 +1,6 @@
 //! Aggregation against golden values, and every table from a made-up run with all variants. The tests of `rogs-report`
 //! print them.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 #[path = "support/made_up.rs"]
 mod made_up;

@@ -1,13 +1,7 @@
 //! Six-camera frames per second at 154 x 280: `cargo bench -p rogs-synth`.
 //!
 //! On a machine that does other work too, the rate per second of CPU time says more than the clock.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use std::time::Instant;
 

@@ -1,12 +1,6 @@
 //! A picture of several episodes, a row each: all six cameras at the frame in the middle.
 //! `cargo run -p rogs-synth --example contact_sheet OUT.jpg [SEED [EPISODES]]`
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use image::RgbImage;
 use rogs_synth::{CAMERAS, Resolution, SynthConfig, generate_episode};

@@ -1,9 +1,5 @@
 //! `rogs-synth`: writes a dataset of procedural episodes.
-#![allow(
-    clippy::print_stdout,
-    clippy::print_stderr,
-    reason = "the program's own file is the one place that prints"
-)]
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "the program's own file is the one place that prints")]
 
 use std::path::PathBuf;
 use std::process::ExitCode;

@@ -1,11 +1,5 @@
 //! Depth, ids, tracks, cameras and motion of an episode agree with each other and with independent computations.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use glam::DVec3;
 use rogs_geometry::Pose;

@@ -1,11 +1,5 @@
 //! The written robot model, read by the kinematics and the mesh rasteriser of the product, is the rendered robot.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use rogs_geometry::{Camera, Link, Pose};
 use rogs_robot::{MeshScene, RenderOptions, RobotModel};

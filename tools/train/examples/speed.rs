@@ -1,12 +1,6 @@
 //! Seconds and peak memory of the parts of an update:
 //! `cargo run -p rogs-train --example speed SETTINGS.toml [UPDATES]`.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use std::path::Path;
 use std::time::Instant;

@@ -1,9 +1,5 @@
 //! `rogs-train`: trains the networks of rogs.
-#![allow(
-    clippy::print_stdout,
-    clippy::print_stderr,
-    reason = "the program's own file is the one place that prints"
-)]
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "the program's own file is the one place that prints")]
 
 use std::path::PathBuf;
 use std::process::ExitCode;

@@ -1,11 +1,5 @@
 //! Training clips are consistent with the geometry they come from.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use rogs_random::Pcg64;
 use rogs_schemas::units::UNITS_PER_METRE;

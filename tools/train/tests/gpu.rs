@@ -1,11 +1,5 @@
 //! Updates on a GPU against those on the CPU. Mesa's software Vulkan counts as a GPU; without any the tests fail.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![cfg(feature = "gpu")]
 
 #[path = "support/latents.rs"]

@@ -8,13 +8,7 @@
 //! Tests that stop a run at a certain moment set `ROGS_TOY_HOLD=CLIP@STAGE@begin|end` and `ROGS_TOY_FOLDER`: the worker
 //! that gets there first writes its process number to `held` in that folder and waits for a file `release`. Every worker
 //! holds a shared lock on the file `alive` there, so that a test can wait until all have ended.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    clippy::too_many_lines
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 mod misbehaviour;
 mod stages;

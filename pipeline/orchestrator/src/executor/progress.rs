@@ -1,8 +1,5 @@
 //! What a person sees on stderr during a run: bars on a terminal, one line a unit elsewhere.
-#![allow(
-    clippy::print_stderr,
-    reason = "the one place that shows progress and warnings of a run"
-)]
+#![allow(clippy::print_stderr, reason = "the one place that shows progress and warnings of a run")]
 
 use std::io::IsTerminal;
 use std::time::Duration;

@@ -271,10 +271,7 @@ fn add_poses(output: &Output, counted: &L, poses: &mut [[f64; LANES]; 12]) {
 
 /// Everything but colours, without branches.
 #[inline(always)]
-#[expect(
-    clippy::too_many_lines,
-    reason = "one derivation, step by step in the order of the formulas"
-)]
+#[expect(clippy::too_many_lines, reason = "one derivation, step by step in the order of the formulas")]
 fn chain_lanes(input: &Input, view: &View, config: &RasterConfig, out: &mut Output) {
     let r = view.r;
     let (fx, fy) = (view.fx, view.fy);
