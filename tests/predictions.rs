@@ -23,7 +23,13 @@ fn export(clip_folder: &Path, out: &Path) {
     let anchor = clip.tracks.as_ref().map(|tracks| tracks.anchor_frame);
     for frame in clip.query_frames.iter().copied().chain(anchor) {
         let time = time_of_frame(frame, clip.frame_count());
-        rogs_field::ply::export_field(&timed, time, &out.join(format!("frame-{frame}.ply"))).unwrap();
+        rogs_field::export_field(
+            &timed,
+            time,
+            rogs_field::Axes::Recon,
+            &out.join(format!("frame-{frame}.ply")),
+        )
+        .unwrap();
     }
 }
 

@@ -26,5 +26,5 @@ mod timed;
 pub use correction::{Correction, GateGroup, POSITION_BOUND_M};
 pub use error::{Error, Result};
 pub use gates::{MotionGates, raw_at};
-pub use ply::{Axes, PlyScene, export_field, export_field_in, read_ply, read_ply_file, write_ply};
+pub use ply::{Axes, PlyScene, export_field, read_ply, read_ply_file, write_ply};
 pub use timed::TimedField;

@@ -370,27 +370,18 @@ pub enum Axes {
     Base,
 }
 
-/// Writes a field at a stored time: metres, reconstruction frame (OpenCV axes of the first source camera), one row per
-/// Gaussian in the field's order. The file appears under its name only when it is complete.
+/// Writes a field at a stored time: metres, in the frame asked for, which a comment of the file names; one row per Gaussian
+/// in the field's order. The file appears under its name only when it is complete.
 ///
 /// # Errors
 /// When the time is not stored or the file cannot be written.
-pub fn export_field(field: &TimedField<'_>, time: f64, path: &Path) -> Result<()> {
-    export_field_in(field, time, Axes::Recon, path)
-}
-
-/// As [`export_field`], in the frame asked for: means, orientations and harmonics are turned into it, and a comment of the
-/// file names it.
-///
-/// # Errors
-/// As [`export_field`].
-pub fn export_field_in(field: &TimedField<'_>, time: f64, axes: Axes, path: &Path) -> Result<()> {
+pub fn export_field(field: &TimedField<'_>, time: f64, axes: Axes, path: &Path) -> Result<()> {
     let mut gaussians = field.gaussians(time)?;
     let frame = match axes {
         Axes::Recon => "recon_opencv",
         Axes::Base => {
             let base_from_recon_iu = field.recon_from_base()?.inverse().in_unit(LengthUnit::Internal);
-            gaussians = gaussians.moved(&base_from_recon_iu);
+            gaussians = gaussians.moved(&base_from_recon_iu.into());
             "base"
         }
     };

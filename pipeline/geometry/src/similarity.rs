@@ -33,6 +33,13 @@ impl<A: Frame, B: Frame> Similarity<A, B> {
     }
 }
 
+/// Lengths stay as they are.
+impl<A: Frame, B: Frame> From<Pose<A, B>> for Similarity<A, B> {
+    fn from(rigid: Pose<A, B>) -> Self {
+        Self { rigid, scale: 1.0 }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

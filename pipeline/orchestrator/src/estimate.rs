@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use crate::columns::columns;
 use crate::error::Result;
 use crate::executor::RunOptions;
 use crate::ledger::{StageCost, read_costs};
@@ -89,62 +90,38 @@ impl Estimate {
     /// The estimate as a table for people.
     #[must_use]
     pub fn table(&self) -> String {
-        use std::fmt::Write as _;
-        let mut out = String::new();
-        let _ = writeln!(out, "{}: {} clips", self.name, self.clips);
-        let width = self
-            .nodes
-            .iter()
-            .map(|node| node.node.chars().count())
-            .max()
-            .unwrap_or(5)
-            .max(5);
-        let _ = writeln!(
-            out,
-            "{:width$}  {:>10} {:>7} {:>10} {:>10} {:>10}",
-            "stage", "up to date", "to do", "s / clip", "MiB / clip", "peak MiB"
-        );
+        let head = ["stage", "up to date", "to make", "s a clip", "MiB a clip", "peak MiB"];
+        let mut rows = vec![head.map(str::to_owned).to_vec()];
         for node in &self.nodes {
-            let cost = node.cost.map_or_else(
-                || format!("{:>10} {:>10} {:>10}", "?", "?", "?"),
-                |cost| {
-                    let mebibytes = |bytes: u64| bytes as f64 / 1_048_576.0;
-                    format!(
-                        "{:>10.2} {:>10.2} {:>10.0}",
-                        cost.seconds,
-                        mebibytes(cost.output_bytes),
-                        mebibytes(cost.peak_rss_bytes)
-                    )
-                },
-            );
-            let _ = writeln!(
-                out,
-                "{:width$}  {:>10} {:>7} {cost}",
-                node.node, node.up_to_date, node.todo
-            );
+            let cost = node.cost.map_or(["?", "?", "?"].map(str::to_owned), |cost| {
+                let mebibytes = |bytes: u64| bytes as f64 / f64::from(1 << 20);
+                [
+                    format!("{:.2}", cost.seconds),
+                    format!("{:.2}", mebibytes(cost.output_bytes)),
+                    format!("{:.0}", mebibytes(cost.peak_rss_bytes)),
+                ]
+            });
+            let counts = [node.node.clone(), node.up_to_date.to_string(), node.todo.to_string()];
+            rows.push(counts.into_iter().chain(cost).collect());
         }
-        let gibibytes = |bytes: u64| format!("{:.2} GiB", bytes as f64 / 1_073_741_824.0);
-        let seconds = self.seconds.map_or("unknown (no earlier records)".to_owned(), duration);
-        let disk = self.disk_bytes.map_or("unknown".to_owned(), gibibytes);
-        let free = self.free_bytes.map_or("unknown".to_owned(), gibibytes);
-        let _ = writeln!(
-            out,
-            "time with {} workers: {seconds}; disk: {disk} of {free} free",
-            self.workers
-        );
-        out
-    }
-
-    /// True when the disk will not hold what the plan writes.
-    #[must_use]
-    pub fn disk_too_small(&self) -> bool {
-        matches!((self.disk_bytes, self.free_bytes), (Some(needed), Some(free)) if needed > free)
+        let units: usize = self.nodes.iter().map(|node| node.up_to_date + node.todo).sum();
+        let mut lines = vec![format!("{}: {} clips, {units} units", self.name, self.clips)];
+        lines.extend(columns(&rows));
+        lines.push(match self.seconds {
+            Some(seconds) => format!("about {} with {} workers", duration(seconds), self.workers),
+            None => "no estimate of time: some stage has not run here yet".to_owned(),
+        });
+        let gibibytes = |bytes: u64| bytes as f64 / f64::from(1 << 30);
+        if let (Some(need), Some(free)) = (self.disk_bytes.map(gibibytes), self.free_bytes.map(gibibytes)) {
+            lines.push(format!("about {need:.2} GiB to write, {free:.1} GiB free"));
+        }
+        lines.join("\n")
     }
 }
 
 /// Seconds for people.
 #[must_use]
-pub fn duration(seconds: f64) -> String {
+fn duration(seconds: f64) -> String {
     let whole = seconds.round() as u64;
     match whole {
         0..60 => format!("{seconds:.1} s"),

@@ -28,6 +28,7 @@
 //! Every failure of the orchestrator is an [`Error`] with [`Error::hint`] and [`Error::exit`]; failures of clips are values.
 //! Errors print as `error: {error}`, then `hint: {hint}`.
 
+mod columns;
 pub mod diagnose;
 pub mod diff;
 pub mod editor;
@@ -54,6 +55,7 @@ pub mod status;
 mod sys;
 pub mod verify;
 
+pub use columns::columns;
 pub use error::{Error, Result};
 pub use exit::Exit;
 pub use prepare::Prepared;

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use rogs_schemas::ledger::Failure;
 use serde::Serialize;
 
+use crate::columns::columns;
 use crate::error::Result;
 use crate::exit::Exit;
 use crate::ledger::last_failures;
@@ -226,50 +227,26 @@ impl Status {
     /// The status as a table for people.
     #[must_use]
     pub fn table(&self) -> String {
-        use std::fmt::Write as _;
-        let mut out = String::new();
         let StatusClips { total, done, failed } = self.clips;
-        let active = if self.active { ", a process is at work" } else { "" };
-        let _ = writeln!(
-            out,
-            "{}: {done} of {total} clips done, {failed} failed{active}",
+        let active = if self.active { " (running)" } else { "" };
+        let mut lines = vec![format!(
+            "{}{active}: {done} of {total} clips done, {failed} failed",
             self.name
-        );
-        let width = self
-            .nodes
-            .iter()
-            .map(|node| node.node.chars().count())
-            .max()
-            .unwrap_or(5)
-            .max(5);
-        let _ = writeln!(
-            out,
-            "{:width$}  {:>7} {:>7} {:>7} {:>7}",
-            "stage", "done", "to do", "failed", "blocked"
-        );
-        for node in &self.nodes {
-            let NodeStatus {
-                node,
-                done,
-                todo,
-                failed,
-                blocked,
-            } = node;
-            let _ = writeln!(out, "{node:width$}  {done:>7} {todo:>7} {failed:>7} {blocked:>7}");
+        )];
+        let mut rows = vec![
+            ["stage", "done", "to do", "failed", "blocked"]
+                .map(str::to_owned)
+                .to_vec(),
+        ];
+        rows.extend(self.nodes.iter().map(|node| {
+            let counts = [node.done, node.todo, node.failed, node.blocked].map(|count| count.to_string());
+            std::iter::once(node.node.clone()).chain(counts).collect()
+        }));
+        lines.extend(columns(&rows));
+        for StatusFailure { clip, node, failure } in &self.failures {
+            lines.push(format!("failed: {clip} at {node}: {}", failure.message));
+            lines.extend(failure.hint.iter().map(|hint| format!("  hint: {hint}")));
         }
-        for failure in self.failures.iter().take(20) {
-            let _ = writeln!(
-                out,
-                "failed: {} {}: {}",
-                failure.clip, failure.node, failure.failure.message
-            );
-            if let Some(hint) = &failure.failure.hint {
-                let _ = writeln!(out, "  hint: {hint}");
-            }
-        }
-        if self.failures.len() > 20 {
-            let _ = writeln!(out, "... and {} more failures", self.failures.len() - 20);
-        }
-        out
+        lines.join("\n")
     }
 }

@@ -286,6 +286,8 @@ fn an_estimate_follows_from_earlier_attempts() {
     let before = rogs_orchestrator::estimate::estimate(&prepared.plan, &prepared.options).unwrap();
     assert_eq!((before.seconds, before.nodes[0].todo), (None, 3));
     prepared.run().unwrap();
+    let idle = rogs_orchestrator::estimate::estimate(&prepared.plan, &prepared.options).unwrap();
+    assert!(idle.table().contains("\nabout 0.0 s with "), "{}", idle.table());
     workspace.episode("d", "four");
     let prepared = workspace.prepare();
     let after = rogs_orchestrator::estimate::estimate(&prepared.plan, &prepared.options).unwrap();

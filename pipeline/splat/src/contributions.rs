@@ -350,34 +350,6 @@ impl Contributions {
     }
 }
 
-/// As [`render_views_with_contributions`] followed by mass and pooling, in `parts` rounds that each keep the entries of
-/// only a part of the eligible Gaussians: memory shrinks with the number of parts, and the views are composited again
-/// in every round with exactly the same arithmetic. Results are equal bit for bit for every number of parts.
-///
-/// # Errors
-/// As [`render_views_with_contributions`] and [`Contributions::pool`].
-pub fn pool_in_parts(
-    gaussians: &Gaussians,
-    cameras: &[RasterCamera],
-    config: &RasterConfig,
-    eligible: &Eligible,
-    (features, channels): (&[f32], usize),
-    parts: usize,
-) -> Result<(Vec<f32>, Vec<f32>)> {
-    let rows = eligible.indices(gaussians.len())?;
-    let (mut mass, mut pooled) = (Vec::new(), Vec::new());
-    for part in rows.chunks(rows.len().div_ceil(parts.max(1)).max(1)) {
-        let mut mask = vec![false; gaussians.len()];
-        for &row in part {
-            mask[row as usize] = true;
-        }
-        let (_, contributions) = render_views_with_contributions(gaussians, cameras, config, &Eligible::Mask(mask))?;
-        mass.extend(contributions.mass());
-        pooled.extend(contributions.pool(features, channels)?);
-    }
-    Ok((mass, pooled))
-}
-
 impl Piece {
     #[inline(always)]
     fn row(&self, local: usize) -> (&[u32], &[f32]) {

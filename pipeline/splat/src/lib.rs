@@ -64,9 +64,7 @@ pub use backward::{
     render_with_tape,
 };
 pub use camera::{Mode, RasterCamera, RasterConfig};
-pub use contributions::{
-    Contributions, Eligible, pool_in_parts, render_views_with_contributions, render_with_contributions,
-};
+pub use contributions::{Contributions, Eligible, render_views_with_contributions, render_with_contributions};
 pub use error::{Result, SplatError};
 pub use gaussians::{Colour, Gaussians};
 #[cfg(feature = "gpu")]

@@ -1,45 +1,9 @@
 //! Position embeddings: the learned grid of the image encoder, rotary tables, and the sine map of the dense heads.
 
-use rogs_kernels::{CubicTaps, cubic_taps};
-/// Resamples the learned position embedding of a square grid to `rows x columns` with antialiased bicubic weights
-/// (kernel parameter -0.5). `table` is `[1 + side^2, width]`, row 0 (class token) passes through.
-#[must_use]
-pub fn resample_positions(table: &[f32], side: usize, width: usize, [rows, columns]: [usize; 2]) -> Vec<f32> {
-    if rows == side && columns == side {
-        return table.to_vec();
-    }
-    let (class, grid) = table.split_at(width);
-    let [row_taps, column_taps] = [rows, columns].map(|count| cubic_taps::<f32>(side, count, 0, count));
-    // Columns first: [side, columns, width].
-    let mut narrowed = vec![0.0f32; side * columns * width];
-    for row in 0..side {
-        for (column, CubicTaps { start, weights }) in column_taps.iter().enumerate() {
-            let out = &mut narrowed[(row * columns + column) * width..][..width];
-            for (tap, &weight) in weights.iter().enumerate() {
-                let source = &grid[(row * side + start + tap) * width..][..width];
-                out.iter_mut()
-                    .zip(source)
-                    .for_each(|(sum, &value)| *sum += weight * value);
-            }
-        }
-    }
-    let mut result = class.to_vec();
-    result.resize((1 + rows * columns) * width, 0.0);
-    for (row, CubicTaps { start, weights }) in row_taps.iter().enumerate() {
-        for column in 0..columns {
-            let out = &mut result[(1 + row * columns + column) * width..][..width];
-            for (tap, &weight) in weights.iter().enumerate() {
-                let source = &narrowed[((start + tap) * columns + column) * width..][..width];
-                out.iter_mut()
-                    .zip(source)
-                    .for_each(|(sum, &value)| *sum += weight * value);
-            }
-        }
-    }
-    result
-}
+use rogs_kernels::cubic_taps;
 
-/// Resampling weights as a matrix, so that gradients reach the learned grid: `[rows * columns, side^2]`.
+/// Resamples the learned position embedding of a square grid to `rows x columns` with antialiased bicubic weights (kernel
+/// parameter -0.5), as a matrix, so that gradients reach the learned grid: `[rows * columns, side^2]`.
 #[must_use]
 pub fn resampling_matrix(side: usize, [rows, columns]: [usize; 2]) -> Vec<f32> {
     let [row_taps, column_taps] = [rows, columns].map(|count| cubic_taps::<f32>(side, count, 0, count));

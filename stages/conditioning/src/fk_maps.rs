@@ -5,7 +5,6 @@ use std::ops::Range;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use rogs_geometry::{Link, Pose, PosedCamera, Recon};
-use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, KAPPA_CHANNELS, plane};
 use rogs_schemas::units::UNITS_PER_METRE;
 
 /// The motion of one link between two times as a displacement field: `d = matrix * p + offset` with `p` in metres and
@@ -163,43 +162,6 @@ fn displaced(m: &LinkDisplacement, row: usize, x: f32, y: f32, z: f32) -> f32 {
     m[4 * row] * x + m[4 * row + 1] * y + m[4 * row + 2] * z + m[4 * row + 3]
 }
 
-/// The dense map of view `view` at stored query `query` into `out`, planar `[7, H, W]`: the same values as
-/// [`Conditioning::dense`], for callers that fill many maps into one buffer.
-///
-/// # Panics
-/// When `out` has another size, or view or query do not exist.
-pub fn fill_dense(conditioning: &Conditioning, view: usize, query: usize, prior: &[f32], out: &mut [f32]) {
-    let area = (conditioning.height * conditioning.width) as usize;
-    assert_eq!(out.len(), KAPPA_CHANNELS * area, "a dense map must be [7, H, W]");
-    let maps = &conditioning.view_maps[view];
-    let count = maps.pixels.len();
-    let displacement = &maps.displacement_iu[query * count * 3..(query + 1) * count * 3];
-    out[..plane::AVAILABLE * area].fill(0.0);
-    scatter(&maps.pixels, &maps.depth_m, displacement, area, out);
-    out[plane::AVAILABLE * area..][..area].fill(f32::from(maps.available[query]));
-    out[plane::PRIOR * area..].copy_from_slice(prior);
-}
-
-/// The gripper prior of a view at every pixel, `[H, W]`; the same for all query times. The Gaussian is separable, so
-/// that one exponential per row and column is enough; the products are within one rounding of [`GripperPrior::at`].
-#[must_use]
-pub fn dense_prior(prior: &GripperPrior, width: u32, height: u32) -> Vec<f32> {
-    if prior.depth_m <= 0.01 {
-        return vec![0.0; (width * height) as usize];
-    }
-    let along = |count: u32, axis: usize| -> Vec<f64> {
-        let metres = prior.depth_m / prior.focal_px[axis];
-        let distance = |index: u32| (f64::from(index) + 0.5 - prior.centre_px[axis]) * metres;
-        (0..count)
-            .map(|index| libm::exp(-0.5 * distance(index).powi(2) / (prior.sigma_m * prior.sigma_m)))
-            .collect()
-    };
-    let (columns, rows) = (along(width, 0), along(height, 1));
-    rows.iter()
-        .flat_map(|row| columns.iter().map(move |column| (row * column) as f32))
-        .collect()
-}
-
 /// Dense maps of the five channels that the robot fills (support, depth, displacement), straight from the points.
 ///
 /// `points[s]` and `links[s * queries + q]` give map `(s, q)` of `out`, `[S, Q, 5, H, W]`.
@@ -221,22 +183,6 @@ pub fn fill_dense_batch(
     assert_eq!(out.len(), links.len() * 5 * area, "dense maps must be [S, Q, 5, H, W]");
     let maps = out.par_chunks_exact_mut(5 * area).enumerate();
     maps.for_each(|(index, out)| points[index / queries].fill(&links[index], area, out));
-}
-
-/// Writes support, depth and displacement of the supported pixels into planes that are zero elsewhere.
-fn scatter(pixels: &[u32], depth_m: &[f32], displacement: &[f32], area: usize, out: &mut [f32]) {
-    let mut planes = out.chunks_exact_mut(area);
-    let planes = [(); 5].map(|()| planes.next());
-    let [Some(support), Some(depth), Some(x), Some(y), Some(z)] = planes else {
-        return;
-    };
-    let (displacement, _) = displacement.as_chunks::<3>();
-    for ((&pixel, &metres), d) in pixels.iter().zip(depth_m).zip(displacement) {
-        let pixel = pixel as usize;
-        support[pixel] = 1.0;
-        depth[pixel] = metres;
-        (x[pixel], y[pixel], z[pixel]) = (d[0], d[1], d[2]);
-    }
 }
 
 #[cfg(test)]
@@ -286,7 +232,12 @@ mod tests {
             let mut displacement = vec![0.0f32; 3 * points.pixels.len()];
             points.displace(&links[query], &mut displacement);
             let mut expected = vec![0.0f32; 5 * area];
-            scatter(&points.pixels, &points.depth_m, &displacement, area, &mut expected);
+            for (index, &pixel) in points.pixels.iter().enumerate() {
+                let d = &displacement[3 * index..];
+                for (plane, value) in [1.0, points.depth_m[index], d[0], d[1], d[2]].into_iter().enumerate() {
+                    expected[plane * area + pixel as usize] = value;
+                }
+            }
             assert_eq!(map, expected);
         }
         assert!(dense[2 * area..3 * area].iter().any(|value| value.abs() > 0.1));

@@ -2,7 +2,7 @@
 //!
 //! For every supported pixel of a source view the point on the mesh is moved with its link: `d = T_l(t) T_l(s)^-1 p - p`
 //! in the reconstruction frame, internal units. The maps are stored sparse ([`fk_maps::SourcePoints`]) and expand to
-//! dense ones without loss ([`fk_maps::fill_dense`]).
+//! dense ones without loss ([`Conditioning::dense`](rogs_schemas::records::conditioning::Conditioning::dense)).
 
 mod build;
 pub mod fk_maps;

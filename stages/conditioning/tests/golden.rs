@@ -244,29 +244,6 @@ fn a_link_that_stays_gives_zero_displacement() {
 }
 
 #[test]
-fn the_fast_dense_fill_equals_the_record_s_dense_map() {
-    let bytes = golden();
-    let file = SafeTensors::deserialize(&bytes).unwrap();
-    let (clip, robot) = records(&file);
-    let conditioning = build(&clip, &robot, &Params::default()).unwrap();
-    let mut dense = vec![9.0f32; 7 * AREA];
-    for (view, maps) in conditioning.view_maps.iter().enumerate() {
-        let prior = rogs_conditioning::fk_maps::dense_prior(&maps.prior, W as u32, H as u32);
-        for query in 0..conditioning.query_frames.len() {
-            rogs_conditioning::fk_maps::fill_dense(&conditioning, view, query, &prior, &mut dense);
-            let expected = conditioning.dense(view, query);
-            assert_eq!(dense[..6 * AREA], expected[..6 * AREA]);
-            assert!(
-                dense[6 * AREA..]
-                    .iter()
-                    .zip(&expected[6 * AREA..])
-                    .all(|(a, b)| (a - b).abs() <= 1.2e-7)
-            );
-        }
-    }
-}
-
-#[test]
 fn records_of_different_clips_are_refused() {
     let bytes = golden();
     let file = SafeTensors::deserialize(&bytes).unwrap();

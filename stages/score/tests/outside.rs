@@ -5,7 +5,7 @@ use rogs_geometry::{Base, Camera, Pose, Similarity};
 use rogs_needs::{needs, shared};
 use rogs_schemas::RigidPose;
 use rogs_score::outside::{
-    MotionBasisField, MotionBasisParts, OutsideError, PolynomialField, mean_frame, merge, stereo_scale, transformed,
+    MotionBasisField, MotionBasisParts, OutsideError, PolynomialField, mean_frame, merge, stereo_scale,
 };
 use rogs_splat::{Colour, Gaussians};
 use safetensors::SafeTensors;
@@ -189,7 +189,7 @@ fn fields_are_scaled_turned_and_joined() {
         rigid: Pose::from_rigid(&turn).unwrap(),
         scale: 2.0,
     };
-    let moved = transformed(&one, &base_from_camera);
+    let moved = one.clone().moved(&base_from_camera);
     assert_eq!(moved.means, [6.0, 2.0, 6.0]);
     assert!(worst(&moved.scales, &[0.2, 0.4, 0.6]) < 1e-7);
     let half = std::f32::consts::FRAC_1_SQRT_2;

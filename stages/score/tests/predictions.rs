@@ -8,7 +8,7 @@ mod support;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use rogs_field::TimedField;
+use rogs_field::{Axes, TimedField};
 use rogs_geometry::{Pinhole, Pose, PosedCamera, Recon};
 use rogs_r4c::source::hash_source;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
@@ -188,7 +188,7 @@ fn ply_files_have_the_scores_of_the_same_field_of_our_own() {
     let timed = TimedField::new(&field).unwrap();
     for frame in QUERIES {
         let path = folder.path().join(format!("frame-{frame:03}.ply"));
-        rogs_field::ply::export_field(&timed, f64::from(frame) / (FRAMES - 1) as f64, &path).unwrap();
+        rogs_field::export_field(&timed, f64::from(frame) / (FRAMES - 1) as f64, Axes::Recon, &path).unwrap();
     }
     let found = good(folder.path(), json!({"frame": "camera"}));
     let worst = difference(&native.summary, &found.summary);

@@ -13,7 +13,6 @@ mod direct;
 mod pairs;
 mod patches;
 mod tail;
-mod tiling;
 mod weight_gradient;
 mod weight_pairs;
 mod weight_tile;

@@ -163,22 +163,6 @@ impl Plan {
         self.run.join("clips").join(&self.clips[clip].id)
     }
 
-    /// All files and folders of sources that the plan reads (weights, robots, calibrations), each once.
-    #[must_use]
-    pub fn source_paths(&self) -> Vec<PathBuf> {
-        let inputs = self.nodes.iter().flat_map(|node| &node.inputs);
-        let fixed = inputs.filter_map(|input| match &input.from {
-            InputSource::Source(source) => Some(source.path.clone()),
-            _ => None,
-        });
-        let mut paths: Vec<_> = fixed
-            .chain(self.calibrations.iter().map(|source| source.path.clone()))
-            .collect();
-        paths.sort();
-        paths.dedup();
-        paths
-    }
-
     /// Nodes whose outputs a node reads.
     pub fn upstream(&self, node: usize) -> impl Iterator<Item = usize> + '_ {
         self.nodes[node].inputs.iter().filter_map(|input| match input.from {

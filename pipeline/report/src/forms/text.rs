@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use rogs_orchestrator::columns;
 use rogs_score::tables::Table;
 
 use super::grid::Grid;
@@ -9,39 +10,27 @@ use super::grid::Grid;
 /// A table for a terminal: one block a setting, columns aligned, footnotes below.
 pub(super) fn to_text(table: &Table) -> String {
     let grid = Grid::new(table);
-    let widths: Vec<usize> = (0..grid.header.len())
-        .map(|column| {
-            let cells = grid.lines.iter().filter_map(|line| line.cells.get(column));
-            cells
-                .chain([&grid.header[column]])
-                .map(|cell| cell.chars().count())
-                .max()
-                .unwrap_or(0)
-        })
+    // Widths are those of all blocks together.
+    let rows: Vec<_> = std::iter::once(&grid.header)
+        .chain(grid.lines.iter().map(|line| &line.cells))
+        .cloned()
         .collect();
-    let line = |cells: &[String]| {
-        let mut text = String::new();
-        for (column, (cell, width)) in cells.iter().zip(&widths).enumerate() {
-            let padding = " ".repeat(width - cell.chars().count());
-            // Labels to the left, everything else to the right.
-            if column == 0 {
-                let _ = write!(text, "{cell}{padding}");
-            } else {
-                let _ = write!(text, "  {padding}{cell}");
-            }
-        }
-        text.trim_end().to_owned()
-    };
-    let mut text = format!("{} ({})\n\n{}\n", table.title, table.id, line(&grid.header));
-    let width = widths.iter().sum::<usize>() + 2 * (widths.len() - 1);
-    let _ = writeln!(text, "{}", "-".repeat(width));
+    let lines = columns(&rows);
+    let width = lines.iter().map(|line| line.chars().count()).max().unwrap_or(0);
+    let mut text = format!(
+        "{} ({})\n\n{}\n{}\n",
+        table.title,
+        table.id,
+        lines[0],
+        "-".repeat(width)
+    );
     let mut group = "";
-    for row in &grid.lines {
+    for (row, line) in grid.lines.iter().zip(&lines[1..]) {
         if row.group != group {
             group = row.group;
             let _ = writeln!(text, "{group}");
         }
-        let _ = writeln!(text, "{}", line(&row.cells));
+        let _ = writeln!(text, "{line}");
     }
     if grid.lines.is_empty() {
         text.push_str("(no scores)\n");

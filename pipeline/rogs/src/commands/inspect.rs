@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use rogs_orchestrator::columns;
 use rogs_r4c::{InspectReport, inspect};
 use serde::Serialize;
 
@@ -56,19 +57,16 @@ fn describe(report: &InspectReport) -> String {
     for (role, id) in &material.inputs {
         let _ = writeln!(text, "input      {role} = {id}");
     }
-    let _ = writeln!(
-        text,
-        "\n{:<28} {:>5} {:>10} {:>14} {:>11} {:>19} {:>12} {:>12} {:>7} {:>12} {:>12} {:>8}",
-        "stream", "type", "shape", "unit", "frame", "codec", "elements", "decoded", "ratio", "min", "max", "NaN"
-    );
+    let head = [
+        "stream", "type", "shape", "unit", "frame", "codec", "elements", "decoded", "ratio", "min", "max", "NaN",
+    ];
+    let mut rows = vec![head.map(str::to_owned).to_vec()];
     for stream in &report.streams {
         let shape: Vec<String> = stream.shape.iter().map(u32::to_string).collect();
         let ratio = stream.totals.decoded_bytes as f64 / stream.totals.stored_bytes.max(1) as f64;
         let value = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.5}"));
-        let _ = writeln!(
-            text,
-            "{:<28} {:>5} {:>10} {:>14} {:>11} {:>19} {:>12} {:>12} {:>7.2} {:>12} {:>12} {:>8}",
-            stream.name,
+        rows.push(vec![
+            stream.name.clone(),
             word(&stream.dtype),
             if shape.is_empty() {
                 "1".to_owned()
@@ -78,13 +76,15 @@ fn describe(report: &InspectReport) -> String {
             word(&stream.unit),
             word(&stream.frame),
             word(&stream.codec),
-            stream.totals.elements,
-            stream.totals.decoded_bytes,
-            ratio,
+            stream.totals.elements.to_string(),
+            stream.totals.decoded_bytes.to_string(),
+            format!("{ratio:.2}"),
             value(stream.min),
             value(stream.max),
-            stream.nan
-        );
+            stream.nan.to_string(),
+        ]);
     }
+    text.push('\n');
+    text += &columns(&rows).join("\n");
     text
 }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use rogs_lpips::Lpips;
+use rogs_orchestrator::columns;
 use rogs_score::folders::{PairScores, score_paths};
 use rogs_score::metrics::{Pixels, RgbView, SsimVariant};
 
@@ -76,7 +77,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         pairs,
     };
     let n = scores.n;
-    let columns = [
+    let all = [
         column("PSNR", 3, |pair| pair.psnr, scores.psnr, n.psnr),
         column("SSIM", 4, |pair| pair.ssim, scores.ssim, n.ssim),
         column("LPIPS", 4, |pair| pair.lpips, scores.lpips, n.lpips),
@@ -88,27 +89,19 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let colours = scores.pairs.iter().any(|pair| pair.psnr.is_some());
     let depth = scores.pairs.iter().any(|pair| pair.support_n.is_some());
     let shown = if colours { 0 } else { 3 }..if depth { 6 } else { 3 };
-    let shown = &columns[shown];
-    let mut text = format!("{:<40}", "image");
-    for column in shown {
-        let _ = write!(text, " {:>9}", column.name);
-    }
+    let shown = &all[shown];
+    let line = |name: &str, cell: &dyn Fn(&Column) -> String| -> Vec<String> {
+        std::iter::once(name.to_owned()).chain(shown.iter().map(cell)).collect()
+    };
+    let mut rows = vec![line("image", &|column| column.name.to_owned())];
     for pair in &scores.pairs {
-        let _ = write!(text, "\n{:<40}", pair.name);
-        for column in shown {
-            let _ = write!(text, " {:>9}", number((column.value)(pair), column.digits));
-        }
+        rows.push(line(&pair.name, &|column| number((column.value)(pair), column.digits)));
     }
     if scores.pairs.len() > 1 {
-        let _ = write!(text, "\n{:<40}", "mean");
-        for column in shown {
-            let _ = write!(text, " {:>9}", number(column.mean, column.digits));
-        }
-        let _ = write!(text, "\n{:<40}", "pairs with a value");
-        for column in shown {
-            let _ = write!(text, " {:>9}", column.pairs);
-        }
+        rows.push(line("mean", &|column| number(column.mean, column.digits)));
+        rows.push(line("pairs with a value", &|column| column.pairs.to_string()));
     }
+    let mut text = columns(&rows).join("\n");
     text.push('\n');
     for pair in &scores.pairs {
         for note in &pair.notes {

@@ -68,29 +68,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let estimate = estimate(plan, &prepared.options)?;
     if args.json {
         output::json(&estimate)?;
-        return Ok(ExitCode::SUCCESS);
+    } else {
+        output::text(&estimate.table())?;
     }
-    let mut text = format!(
-        "{}: {} clips, {} units\n",
-        estimate.name,
-        estimate.clips,
-        plan.unit_count()
-    );
-    for node in &estimate.nodes {
-        let _ = writeln!(
-            text,
-            "  {:<24} {:>7} up to date {:>7} to make",
-            node.node, node.up_to_date, node.todo
-        );
-    }
-    match estimate.seconds {
-        Some(seconds) => writeln!(text, "about {seconds:.0} s with {} workers", estimate.workers)?,
-        None => writeln!(text, "no estimate of time: some stage has not run here yet")?,
-    }
-    if let (Some(need), Some(free)) = (estimate.disk_bytes, estimate.free_bytes) {
-        let _ = writeln!(text, "about {:.2} GiB to write, {:.1} GiB free", gib(need), gib(free));
-    }
-    output::text(&text)?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -108,8 +88,4 @@ fn emit(prepared: &Prepared, shards: u32, file: Option<&Path>, json: bool) -> an
     output::note(&format!("{} units in {}", exported.units, exported.plan.display()));
     let lines: Vec<String> = exported.commands.iter().map(|command| shell_line(command)).collect();
     output::text(&lines.join("\n"))
-}
-
-fn gib(bytes: u64) -> f64 {
-    bytes as f64 / f64::from(1 << 30)
 }

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context as _, bail, ensure};
 use rogs_arrays::{NamedArray, write_exr, write_npz, write_png};
-use rogs_field::{Axes, TimedField, export_field_in};
+use rogs_field::{Axes, TimedField, export_field};
 use rogs_geometry::{Base, Camera, Pinhole, Pose, PosedCamera, Recon};
 use rogs_r4c::read_record;
 use rogs_schemas::Intrinsics;
@@ -212,7 +212,7 @@ pub(crate) fn render_field(
             AxesArg::Recon => Axes::Recon,
             AxesArg::Base => Axes::Base,
         };
-        Ok(export_field_in(&timed, time, axes, path)?)
+        Ok(export_field(&timed, time, axes, path)?)
     };
     render_scene(&scene, view, view.ply.then_some(&ply))
 }

@@ -1,6 +1,5 @@
 //! `rogs status`, `rogs report`: questions to a run folder.
 
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -24,35 +23,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let status = status(&args.run)?;
     if args.json {
         output::json(&status)?;
-        return Ok(ExitCode::from(status.exit.code()));
+    } else {
+        output::text(&status.table())?;
     }
-    let clips = &status.clips;
-    let mut text = format!(
-        "{}{}: {} of {} clips done, {} failed\n",
-        status.name,
-        if status.active { " (running)" } else { "" },
-        clips.done,
-        clips.total,
-        clips.failed
-    );
-    for node in &status.nodes {
-        let _ = writeln!(
-            text,
-            "  {:<24} {:>7} done {:>7} to do {:>5} failed {:>5} blocked",
-            node.node, node.done, node.todo, node.failed, node.blocked
-        );
-    }
-    for failure in &status.failures {
-        let _ = writeln!(
-            text,
-            "failed: {} at {}: {}",
-            failure.clip, failure.node, failure.failure.message
-        );
-        if let Some(hint) = &failure.failure.hint {
-            let _ = writeln!(text, "  hint: {hint}");
-        }
-    }
-    output::text(&text)?;
     Ok(ExitCode::from(status.exit.code()))
 }
 

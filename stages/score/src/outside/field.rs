@@ -15,9 +15,7 @@ use rogs_schemas::RigidPose;
 use rogs_splat::Gaussians;
 use serde::{Deserialize, Serialize};
 
-use crate::outside::{
-    MotionBasisField, MotionBasisParts, OutsideError, PolynomialField, SampledField, merge, transformed,
-};
+use crate::outside::{MotionBasisField, MotionBasisParts, OutsideError, PolynomialField, SampledField, merge};
 
 /// The frame that the fields of a method are given in. An array `base_from_field` (4x4) in a file goes before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
@@ -81,7 +79,6 @@ impl OutsideField {
             FieldFrame::Base => Pose::IDENTITY,
             FieldFrame::Camera => camera.relabelled(),
         };
-        let unscaled = |rigid| Similarity { rigid, scale: 1.0 };
         let mut parts = Vec::new();
         if let Some((content, own)) = content(folder)? {
             let first = cameras.first().map_or(Pose::IDENTITY, |(_, _, camera)| pose(camera));
@@ -89,7 +86,7 @@ impl OutsideField {
                 folder: folder.to_owned(),
                 content,
                 camera: None,
-                base_from_field: unscaled(own.unwrap_or(first)),
+                base_from_field: own.unwrap_or(first).into(),
             });
         } else {
             for (index, id, camera) in cameras {
@@ -101,7 +98,7 @@ impl OutsideField {
                     folder,
                     content,
                     camera: Some(*index),
-                    base_from_field: unscaled(own.unwrap_or_else(|| pose(camera))),
+                    base_from_field: own.unwrap_or_else(|| pose(camera)).into(),
                 });
             }
         }
@@ -129,7 +126,7 @@ impl OutsideField {
         let parts: Vec<Gaussians> = (0..self.parts.len())
             .map(|part| self.part(part, frame))
             .collect::<Result<_, _>>()?;
-        // Extra channels are dropped by `transformed`, so that the union always exists.
+        // Parts have no extra channels, so that the union always exists.
         merge(&parts).ok_or_else(|| OutsideError::file(&self.parts[0].folder, "the fields do not fit together"))
     }
 
@@ -140,7 +137,13 @@ impl OutsideField {
     pub fn part(&self, part: usize, frame: u32) -> Result<Gaussians, OutsideError> {
         let part = &self.parts[part];
         let (gaussians, _) = part.state(frame, self.fps)?;
-        Ok(transformed(&gaussians, &part.base_from_field))
+        // What further channels mean is unknown.
+        let gaussians = Gaussians {
+            extra: Vec::new(),
+            extra_channels: 0,
+            ..gaussians
+        };
+        Ok(gaussians.moved(&part.base_from_field))
     }
 
     /// Displacement between two clip frames of every Gaussian that [`OutsideField::gaussians`] gives at `from`, base

@@ -1,12 +1,9 @@
 //! Calibrated merging of camera-wise fields (paper, appendix on baselines).
 
-use glam::Vec3;
-use rogs_geometry::{Frame, Similarity, quaternion_product, wxyz_f32};
 use rogs_splat::sh::{coefficient_count, coefficient_from_colour};
 use rogs_splat::{Colour, Gaussians};
 
 use crate::metrics::median;
-use crate::outside::harmonics::Turn;
 
 /// The scale factor of a camera's field: median over all valid pixels of all given images of reference over predicted
 /// depth. `None` when no pixel is valid. Each entry is prediction, reference, support of one image. `[H, W]` each
@@ -23,45 +20,6 @@ pub fn stereo_scale(images: &[(&[f32], &[f32], &[bool])]) -> Option<f64> {
             .collect()
     };
     median(images.iter().flat_map(of).collect())
-}
-
-/// Gaussians scaled about the origin of their frame `b` and brought to frame `a`, spherical harmonics turned with them.
-/// Extra channels are dropped, for their meaning is unknown.
-#[must_use]
-pub fn transformed<A: Frame, B: Frame>(gaussians: &Gaussians, a_from_b: &Similarity<A, B>) -> Gaussians {
-    let Similarity { rigid, scale } = *a_from_b;
-    let turn = wxyz_f32(rigid.quaternion());
-    let linear = a_from_b.linear();
-    let point = |p: &[f32]| {
-        (linear * Vec3::from_slice(p).as_dvec3() + rigid.translation)
-            .as_vec3()
-            .to_array()
-    };
-    Gaussians {
-        means: gaussians.means.chunks_exact(3).flat_map(point).collect(),
-        quats: (gaussians.quats.chunks_exact(4))
-            .flat_map(|q| quaternion_product(turn, [q[0], q[1], q[2], q[3]]))
-            .collect(),
-        scales: gaussians
-            .scales
-            .iter()
-            .map(|&own| (f64::from(own) * scale) as f32)
-            .collect(),
-        opacities: gaussians.opacities.clone(),
-        colour: match &gaussians.colour {
-            Colour::Rgb(rgb) => Colour::Rgb(rgb.clone()),
-            Colour::Sh { degree, coefficients } => {
-                let turn = Turn::new(*degree, &rigid.rotation);
-                let rows = coefficients.chunks_exact(3 * coefficient_count(*degree));
-                Colour::Sh {
-                    degree: *degree,
-                    coefficients: rows.flat_map(|row| turn.apply(row)).collect(),
-                }
-            }
-        },
-        extra: Vec::new(),
-        extra_channels: 0,
-    }
 }
 
 /// The union of fields, in order. Plain colours stay so where all fields have them; else all become spherical harmonics

@@ -6,7 +6,6 @@
 //! Lengths are metres; a state at a time is a plain set of Gaussians that the same rasteriser renders.
 
 mod field;
-mod harmonics;
 mod images;
 mod merge;
 mod motion_basis;
@@ -18,7 +17,7 @@ use std::path::{Path, PathBuf};
 
 pub use field::{FieldFrame, OutsideField};
 pub use images::{CameraImages, ImagePredictions};
-pub use merge::{merge, stereo_scale, transformed};
+pub use merge::{merge, stereo_scale};
 pub use motion_basis::{MotionBasisField, MotionBasisParts};
 pub use polynomial::{PolynomialField, PolynomialState};
 pub use recentre::mean_frame;
