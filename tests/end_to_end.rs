@@ -89,7 +89,7 @@ fn outputs_do_not_depend_on_threads() {
 
 #[test]
 fn one_corrupt_episode_among_three() {
-    let workspace = Workspace::with_episodes(3);
+    let workspace = Workspace::small(3);
     let episodes = workspace.path("data/episodes");
     let mut folders: Vec<_> = std::fs::read_dir(&episodes)
         .unwrap()
@@ -136,7 +136,7 @@ fn one_corrupt_episode_among_three() {
 fn killed_runs_resume_to_the_same_bytes() {
     use std::os::unix::process::CommandExt as _;
 
-    let workspace = Workspace::with_episodes(2);
+    let workspace = Workspace::small(2);
     let (code, _) = workspace.rogs_json(&["run", "manifest.toml", "--no-report", "--json"]);
     assert_eq!(code, Some(0));
     let expected = workspace.outputs("run");

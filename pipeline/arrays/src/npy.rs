@@ -277,7 +277,7 @@ mod tests {
         assert!(parse(b"PK").unwrap_err().contains("too short"));
     }
 
-    /// As numpy 2.4 writes them (`numpy.save`), but for the spare spaces that it leaves for growing arrays.
+    /// As `numpy.save` of numpy 2.4.6 writes them, but for the spare spaces that it leaves for growing arrays.
     #[test]
     fn headers_are_aligned_and_spell_shapes_as_numpy_does() {
         for (shape, text) in [

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::{Plane, vectorised};
+use crate::{FeatureMap, vectorised};
 
 /// Rows of the output that one piece of work pools.
 const ROWS: usize = 2;
@@ -31,9 +31,9 @@ impl MaxPool {
 
     /// The pooled map.
     #[must_use]
-    pub fn forward(self, map: &Plane) -> Plane {
+    pub fn forward(self, map: &FeatureMap) -> FeatureMap {
         let [height, width] = self.output_size([map.height, map.width]);
-        let mut out = Plane::zeros(height, width, map.channels);
+        let mut out = FeatureMap::zeros(height, width, map.channels);
         self.run(&map.data, [map.height, map.width], map.channels, &mut out.data);
         out
     }
@@ -81,7 +81,7 @@ mod tests {
 
     #[test]
     fn the_maximum_of_the_window_is_taken() {
-        let map = Plane {
+        let map = FeatureMap {
             height: 3,
             width: 4,
             channels: 1,

@@ -2,14 +2,14 @@
 //!
 //! An image in [0, 1] becomes `(2 v - 1 - shift) / scale`, passes the thirteen convolutions of VGG16 and is read after
 //! relu1_2, 2_2, 3_3, 4_3 and 5_3. Each reading is divided by its length over channels; the distance is the weighted
-//! squared difference, averaged over pixels and added over the five readings.
+//! squared difference, averaged over pixels and added over the five layers.
 //!
 //! The weights are the user's: torchvision's VGG16 and the five heads, in any of the usual names ([`Lpips::open`]).
 //! Features of reference images can be kept and compared many times ([`Lpips::features`], [`Lpips::distance`]); training
 //! uses `LpipsTensors` (feature `tensors`), which records gradients and runs on any device.
 
+mod distances;
 mod error;
-mod readings;
 #[cfg(feature = "tensors")]
 mod tensors;
 mod trunk;
@@ -17,7 +17,7 @@ mod weights;
 
 use std::path::Path;
 
-use readings::LENGTH_FLOOR;
+use distances::LENGTH_FLOOR;
 use trunk::Trunk;
 
 pub use error::{Error, Result};
@@ -25,7 +25,7 @@ pub use error::{Error, Result};
 pub use tensors::LpipsTensors;
 pub use weights::LpipsWeights;
 
-/// Number of readings.
+/// Number of layers that are compared.
 pub const LAYERS: usize = 5;
 /// Convolutions of each block; a 2x2 max-pool lies between blocks.
 pub(crate) const BLOCKS: [usize; LAYERS] = [2, 2, 3, 3, 3];
@@ -47,7 +47,7 @@ pub struct Lpips {
     description: String,
 }
 
-/// The normalised readings of one image.
+/// The normalised features of one image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LpipsFeatures {
     height: usize,
@@ -89,7 +89,7 @@ impl Lpips {
         &self.description
     }
 
-    /// The readings of an RGB image in [0, 1]; values are clipped to it. `rgb [H, W, 3]`
+    /// The features of an RGB image in [0, 1]; values are clipped to it. `rgb [H, W, 3]`
     ///
     /// # Errors
     /// When the buffer has another size or the image is smaller than 16 pixels on a side.
@@ -97,7 +97,7 @@ impl Lpips {
         Ok(self.read_all(&normalised(rgb, height, width, of_unit)?, height, width))
     }
 
-    /// The readings of an 8-bit RGB image. `rgb [H, W, 3]`
+    /// The features of an 8-bit RGB image. `rgb [H, W, 3]`
     ///
     /// # Errors
     /// As [`Lpips::features`].
@@ -108,27 +108,27 @@ impl Lpips {
     fn read_all(&self, image: &[f32], height: usize, width: usize) -> LpipsFeatures {
         let mut layers = Vec::with_capacity(LAYERS);
         self.trunk.run(image, [height, width], |_, maps| {
-            layers.push(readings::normalised(maps))
+            layers.push(distances::normalised(maps))
         });
         LpipsFeatures { height, width, layers }
     }
 
-    /// Distance of an RGB image in [0, 1] from kept readings, without keeping its own: the same value as
+    /// Distance of an RGB image in [0, 1] from kept features, without keeping its own: the same value as
     /// [`Lpips::distance`] of both, sooner. `rgb [H, W, 3]`
     ///
     /// # Errors
-    /// As [`Lpips::features`], and when the readings are those of an image of another size.
+    /// As [`Lpips::features`], and when the features are those of an image of another size.
     pub fn distance_from(&self, rgb: &[f32], height: usize, width: usize, kept: &LpipsFeatures) -> Result<f64> {
         let image = normalised(rgb, height, width, of_unit)?;
         same_size((height, width), (kept.height, kept.width))?;
         let mut sum = 0.0;
         self.trunk.run(&image, [height, width], |layer, maps| {
-            sum += readings::distance_of(maps, &kept.layers[layer], &self.heads[layer]);
+            sum += distances::distance_of(maps, &kept.layers[layer], &self.heads[layer]);
         });
         Ok(sum)
     }
 
-    /// Distance of two images from their readings.
+    /// Distance of two images from their features.
     ///
     /// # Errors
     /// When the images have different sizes.
@@ -144,7 +144,7 @@ impl Lpips {
         same_size((a.height, a.width), (b.height, b.width))?;
         Ok(std::array::from_fn(|layer| {
             let width = a.width >> layer;
-            readings::distance_between(&a.layers[layer], &b.layers[layer], width, &self.heads[layer])
+            distances::distance_between(&a.layers[layer], &b.layers[layer], width, &self.heads[layer])
         }))
     }
 }

@@ -38,7 +38,7 @@ impl LpipsTensors {
         }
     }
 
-    /// Normalised readings of images in [0, 1]. `[B, 3, H, W]`, at least 16 pixels on a side
+    /// Normalised features of images in [0, 1]. `[B, 3, H, W]`, at least 16 pixels on a side
     #[must_use]
     pub fn features(&self, images: Tensor<4>) -> [Tensor<4>; LAYERS] {
         let mut values = (images * 2.0 - 1.0 - self.shift.clone()) / self.scale.clone();

@@ -107,7 +107,7 @@ impl Trunk {
         }
     }
 
-    /// Shows the maps of each of the five readings to `read`. `image [height, width, 3]`, normalised
+    /// Shows the maps of each of the five layers to `read`. `image [height, width, 3]`, normalised
     pub(super) fn run(&self, image: &[f32], size: [usize; 2], mut read: impl FnMut(usize, &Maps)) {
         let lock = || self.maps.lock().unwrap_or_else(PoisonError::into_inner);
         let kept = lock().pop();

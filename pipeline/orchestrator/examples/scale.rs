@@ -129,20 +129,6 @@ fn fill(plan: &Plan) -> Anyhow<()> {
         })
 }
 
-/// Largest resident memory so far, MiB.
-fn peak_mebibytes() -> u64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let kib = status.lines().find_map(|line| {
-        line.strip_prefix("VmHWM:")?
-            .trim()
-            .strip_suffix("kB")?
-            .trim()
-            .parse::<u64>()
-            .ok()
-    });
-    kib.unwrap_or(0) / 1024
-}
-
 fn measure(folder: &Path, clips: usize, run_clips: usize, large: usize) -> Anyhow<()> {
     let manifest = dataset(&folder.join("plan"), clips)?;
     let prepared = timed(&format!("plan {clips} clips, cold (list, hash, keys)"), || {
@@ -158,7 +144,10 @@ fn measure(folder: &Path, clips: usize, run_clips: usize, large: usize) -> Anyho
     timed("estimate, all outputs there", || {
         estimate::estimate(&prepared.plan, &prepared.options)
     })?;
-    println!("peak memory after {clips} clips: {} MiB", peak_mebibytes());
+    println!(
+        "peak memory after {clips} clips: {} MiB",
+        rogs_worker::peak_rss_bytes() >> 20
+    );
 
     for factor in [10, large] {
         let mut plan = prepared.plan.clone();
@@ -184,7 +173,11 @@ fn measure(folder: &Path, clips: usize, run_clips: usize, large: usize) -> Anyho
         let run = plan.run.clone();
         drop(plan);
         let plan = timed(&format!("read the plan of {count} clips"), || read_plan(&run))?;
-        println!("peak memory after {} clips: {} MiB", plan.clips.len(), peak_mebibytes());
+        println!(
+            "peak memory after {} clips: {} MiB",
+            plan.clips.len(),
+            rogs_worker::peak_rss_bytes() >> 20
+        );
     }
 
     let manifest = dataset(&folder.join("run"), run_clips)?;

@@ -62,6 +62,10 @@ impl fmt::Display for At<'_> {
 }
 
 /// A manifest's text, to find places in it.
+///
+/// `toml::Spanned` would keep a place beside every value, but in types that are also written as JSON, compared and shown as
+/// a schema, and a parameter that a variant lays over the run's has no place of its own any more. So the types hold values
+/// alone, and the text is walked once more when something in it is wrong.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Text {
     /// The file.

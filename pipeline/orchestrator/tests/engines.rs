@@ -127,19 +127,9 @@ fn submissions_chain_the_arrays_and_the_next_one_is_sparse() {
     let sbatch = "#!/bin/sh\nprintf '%s\\n' \"$*\" >> \"$FAKE_LOG\"\nfor last; do :; done\n\
         for index in $(sed -n 's/^#SBATCH --array=//p' \"$last\" | sed 's/%.*//; s/0-2/0,1,2/; s/,/ /g'); do\n\
         SLURM_ARRAY_TASK_ID=$index sh \"$last\" >/dev/null 2>&1; done\nwc -l < \"$FAKE_LOG\" | tr -d ' '\n";
-    workspace.write("bin/sbatch", sbatch);
-    Command::new("chmod")
-        .args(["+x"])
-        .arg(bin.join("sbatch"))
-        .status()
-        .unwrap();
+    workspace.script("bin/sbatch", sbatch);
     // `module` is a shell function of real clusters.
-    workspace.write("bin/module", "#!/bin/sh\n");
-    Command::new("chmod")
-        .args(["+x"])
-        .arg(bin.join("module"))
-        .status()
-        .unwrap();
+    workspace.script("bin/module", "#!/bin/sh\n");
     let path = std::env::var("PATH").unwrap();
     // Environment of this test process is shared with others, so the submission runs in a child.
     let submit = || {
@@ -189,12 +179,7 @@ fn a_controller_that_is_away_for_a_moment_is_asked_again_and_a_refusal_is_told()
         if [ \"$(grep -c -x -F -- \"$last\" \"$FAKE_LOG\")\" = 1 ]; then\n\
         echo 'sbatch: error: Batch job submission failed: Socket timed out on send/recv operation' >&2; exit 1; fi\n\
         wc -l < \"$FAKE_LOG\" | tr -d ' '\n";
-    workspace.write("bin/sbatch", sbatch);
-    Command::new("chmod")
-        .args(["+x"])
-        .arg(bin.join("sbatch"))
-        .status()
-        .unwrap();
+    workspace.script("bin/sbatch", sbatch);
     let path = std::env::var("PATH").unwrap();
     let submit = |log: &str, refusal: &str| {
         let mut command = Command::new(example("toy_pipeline"));

@@ -204,9 +204,7 @@ fn with_limit(workspace: &Workspace, stage: &str, limit: &str, more: &str) {
             "#!/bin/sh\nif [ \"$1\" = worker ]; then {limit}; fi\nexec '{}' stage {name} \"$@\"\n",
             example("toy_pipeline").display()
         );
-        workspace.write(&format!("programs/rogs-{name}"), &script);
-        let path = workspace.path(&format!("programs/rogs-{name}"));
-        assert!(Command::new("chmod").arg("+x").arg(path).status().unwrap().success());
+        workspace.script(&format!("programs/rogs-{name}"), &script);
     }
     workspace.manifest(&format!("[executor]\nprograms = \"programs\"\n{more}"));
 }

@@ -43,6 +43,7 @@
 //! ```
 
 pub mod backward;
+mod buffers;
 pub mod camera;
 pub mod contributions;
 pub mod error;
@@ -56,7 +57,7 @@ pub mod raster_device;
 pub mod render;
 pub mod sh;
 mod simd;
-mod spare;
+
 mod tile;
 
 pub use backward::{

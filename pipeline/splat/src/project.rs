@@ -8,12 +8,12 @@
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
+use crate::buffers::{Buffer, Pool};
 use crate::camera::{ALPHA_CUT, Mode, RasterConfig, View};
 use crate::error::{Result, SplatError};
 use crate::gaussians::{Colour, Gaussians};
 use crate::sh;
 use crate::simd::{LANES, dispatch};
-use crate::spare::{Buffer, Pool};
 
 /// Gaussians per chunk.
 pub(crate) const CHUNK: usize = 8192;

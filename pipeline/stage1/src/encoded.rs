@@ -2,7 +2,7 @@
 
 use burn::tensor::Tensor;
 
-use super::stem::Local;
+use super::stem::StemFeatures;
 
 /// What the heads read: the standardised patch tokens of the tapped pairs.
 #[derive(Debug, Clone)]
@@ -10,7 +10,7 @@ pub struct Encoded {
     /// Per tap, before the affine map of a head's norm. `4 x [S, N, 2C]`
     pub taps: [Tensor<3>; 4],
     /// What the stem says, in a network that has one and for heads that read it.
-    pub local: Option<Local>,
+    pub local: Option<StemFeatures>,
     /// Patch grid, rows and columns.
     pub grid: [usize; 2],
     /// Image height and width.

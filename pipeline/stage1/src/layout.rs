@@ -157,20 +157,25 @@ fn sweep(config: &Stage1Config) -> Vec<ParameterSpec> {
         list.layer(&format!("{scope}.conv2"), &[outputs, outputs, 3, 3]);
     };
     let mut inputs = stem::COLOURS;
-    for (level, &outputs) in sweep::SEEING.iter().enumerate() {
+    for (level, &outputs) in sweep::ENCODER_CHANNELS.iter().enumerate() {
         two_layers("levels", level, inputs * CELL * CELL, outputs);
         inputs = outputs;
     }
-    let mut inputs = sweep::read(config);
-    for (level, &outputs) in sweep::READING.iter().enumerate() {
+    let mut inputs = sweep::input_channels(config);
+    for (level, &outputs) in sweep::DECODER_CHANNELS.iter().enumerate() {
         two_layers("down", level, inputs, outputs);
         inputs = outputs;
     }
     for level in [1, 0] {
-        two_layers("up", level, inputs + sweep::READING[level], sweep::READING[level]);
-        inputs = sweep::READING[level];
+        two_layers(
+            "up",
+            level,
+            inputs + sweep::DECODER_CHANNELS[level],
+            sweep::DECODER_CHANNELS[level],
+        );
+        inputs = sweep::DECODER_CHANNELS[level];
     }
-    for (level, &channels) in sweep::SEEING.iter().enumerate() {
+    for (level, &channels) in sweep::ENCODER_CHANNELS.iter().enumerate() {
         list.layer(
             &format!("stem.sweep.features.{level}"),
             &[sweep::FEATURES, channels, 3, 3],
@@ -178,7 +183,11 @@ fn sweep(config: &Stage1Config) -> Vec<ParameterSpec> {
     }
     list.layer("stem.sweep.depths", &[config.sweep_depths, inputs, 1, 1]);
     let own = config.stem_channels[sweep::LEVEL];
-    list.filled("stem.sweep.join", &[own, sweep::SAID, 3, 3], Initial::Constant(0.0));
+    list.filled(
+        "stem.sweep.join",
+        &[own, sweep::OUTPUT_CHANNELS, 3, 3],
+        Initial::Constant(0.0),
+    );
     list.0
 }
 

@@ -9,8 +9,8 @@ use super::encoder::Encoder;
 use super::frames::SourceFrames;
 use super::geometry::NetworkCamera;
 use super::head::{DenseHead, FkBranch, TAP_EPSILON};
-use super::stem::{Local, Stem};
-use super::sweep::Found;
+use super::stem::{Stem, StemFeatures};
+use super::sweep::SweptDepth;
 use crate::{Error, Result};
 use rogs_kernels::Precision;
 use rogs_tensors::ops::standardise;
@@ -91,7 +91,7 @@ impl Stage1 {
         self.encode_with(frames, tokens, self.local(frames)?)
     }
 
-    fn encode_with(&self, frames: &SourceFrames, tokens: Tensor<3>, local: Option<Local>) -> Result<Encoded> {
+    fn encode_with(&self, frames: &SourceFrames, tokens: Tensor<3>, local: Option<StemFeatures>) -> Result<Encoded> {
         let [_, _, height, width] = frames.images.dims();
         let grid = self.config.grid(height, width)?;
         let tokens = self.embed(frames, tokens)?;
@@ -103,7 +103,7 @@ impl Stage1 {
     ///
     /// # Errors
     /// As [`Self::encode`].
-    pub fn local(&self, frames: &SourceFrames) -> Result<Option<Local>> {
+    pub fn local(&self, frames: &SourceFrames) -> Result<Option<StemFeatures>> {
         if !self.config.has_stem() {
             return Ok(None);
         }
@@ -114,7 +114,7 @@ impl Stage1 {
     ///
     /// # Errors
     /// As [`Self::encode`].
-    pub fn sweep(&self, frames: &SourceFrames) -> Result<Option<Found>> {
+    pub fn sweep(&self, frames: &SourceFrames) -> Result<Option<SweptDepth>> {
         self.stem().sweep(frames)
     }
 
@@ -122,7 +122,7 @@ impl Stage1 {
     ///
     /// # Errors
     /// As [`Self::encode`].
-    pub fn patch_tokens(&self, frames: &SourceFrames, local: Option<&Local>) -> Result<Tensor<3>> {
+    pub fn patch_tokens(&self, frames: &SourceFrames, local: Option<&StemFeatures>) -> Result<Tensor<3>> {
         let [_, _, height, width] = frames.images.dims();
         let tokens = self.encoder().forward(frames.images.clone())?;
         match local {
@@ -161,7 +161,12 @@ impl Stage1 {
     ///
     /// # Errors
     /// When the image size is not one of whole patches.
-    pub fn encoded(&self, taps: [Tensor<3>; 4], local: Option<Local>, [height, width]: [usize; 2]) -> Result<Encoded> {
+    pub fn encoded(
+        &self,
+        taps: [Tensor<3>; 4],
+        local: Option<StemFeatures>,
+        [height, width]: [usize; 2],
+    ) -> Result<Encoded> {
         let grid = self.config.grid(height, width)?;
         let first = self.config.patch_start();
         Ok(Encoded {

@@ -24,14 +24,14 @@ pub const TOKEN_LEVELS: [usize; 2] = [2, 3];
 
 /// What a stem says about the frames of a clip.
 #[derive(Debug, Clone)]
-pub struct Local {
+pub struct StemFeatures {
     /// Its features.
     pub levels: Pyramid,
     /// What the sweep finds; `None` without one, or where no frame has company.
-    pub sweep: Option<sweep::Found>,
+    pub sweep: Option<sweep::SweptDepth>,
 }
 
-impl Local {
+impl StemFeatures {
     /// The same for some frames.
     #[must_use]
     pub fn frames_at(&self, start: usize, count: usize) -> Self {
@@ -60,7 +60,7 @@ impl<'a> Stem<'a> {
     ///
     /// # Errors
     /// When a tensor is missing or has another shape, or the frames do not fit together.
-    pub fn features(&self, frames: &SourceFrames) -> Result<Local> {
+    pub fn features(&self, frames: &SourceFrames) -> Result<StemFeatures> {
         let sweep = self.sweep(frames)?;
         let SourceFrames { images, cameras, .. } = frames;
         let [_, _, height, width] = images.dims();
@@ -73,7 +73,7 @@ impl<'a> Stem<'a> {
         };
         let third = self.level(2, second.clone())?;
         let fourth = self.level(3, third.clone())?;
-        Ok(Local {
+        Ok(StemFeatures {
             levels: [first, second, third, fourth],
             sweep,
         })
@@ -83,7 +83,7 @@ impl<'a> Stem<'a> {
     ///
     /// # Errors
     /// As [`Self::features`].
-    pub fn sweep(&self, frames: &SourceFrames) -> Result<Option<sweep::Found>> {
+    pub fn sweep(&self, frames: &SourceFrames) -> Result<Option<sweep::SweptDepth>> {
         let (images, poses) = (frames.images.dims()[0], frames.cameras.len());
         if poses != images {
             return Err(Error::BadInput(format!("{images} images come with {poses} cameras")));

@@ -6,7 +6,7 @@ use super::RefinerConfig;
 use super::mv_attention::{FACTOR, MultiViewAttention};
 use super::resnet::{FeatureMaps, ResNetFront, checked};
 use crate::{Error, Result};
-use rogs_kernels::{LayerNorm, Linear, Plane, ROWS_PER_PIECE};
+use rogs_kernels::{FeatureMap, LayerNorm, Linear, ROWS_PER_PIECE};
 use rogs_tensors::parameters::Parameters;
 
 /// Colour error `render - observed` in the layout of its projection.
@@ -87,7 +87,7 @@ impl ErrorEncoder {
     ///
     /// # Errors
     /// When it is not an RGB image.
-    pub fn feature_maps(&self, image: &Plane) -> Result<FeatureMaps> {
+    pub fn feature_maps(&self, image: &FeatureMap) -> Result<FeatureMaps> {
         self.front.forward(image)
     }
 
@@ -98,7 +98,12 @@ impl ErrorEncoder {
     ///
     /// # Errors
     /// When the images disagree in number or size.
-    pub fn forward(&self, renders: &[Plane], observed: &[Plane], observed_maps: &[FeatureMaps]) -> Result<Vec<Plane>> {
+    pub fn forward(
+        &self,
+        renders: &[FeatureMap],
+        observed: &[FeatureMap],
+        observed_maps: &[FeatureMaps],
+    ) -> Result<Vec<FeatureMap>> {
         let mut views = self.before_attention(renders, observed, observed_maps)?;
         let (height, width) = (views[0].height, views[0].width);
         let padded = (height.next_multiple_of(FACTOR), width.next_multiple_of(FACTOR));
@@ -106,7 +111,7 @@ impl ErrorEncoder {
             self.attention.forward(&mut views)?;
             return Ok(views);
         }
-        let mut views: Vec<Plane> = views.into_iter().map(|view| with_size(view, padded)).collect();
+        let mut views: Vec<FeatureMap> = views.into_iter().map(|view| with_size(view, padded)).collect();
         self.attention.forward(&mut views)?;
         Ok(views.into_iter().map(|view| with_size(view, (height, width))).collect())
     }
@@ -117,12 +122,12 @@ impl ErrorEncoder {
     /// As [`Self::forward`].
     pub fn before_attention(
         &self,
-        renders: &[Plane],
-        observed: &[Plane],
+        renders: &[FeatureMap],
+        observed: &[FeatureMap],
         observed_maps: &[FeatureMaps],
-    ) -> Result<Vec<Plane>> {
+    ) -> Result<Vec<FeatureMap>> {
         let side = self.layout.side();
-        let size = |image: &Plane| (image.height, image.width, image.channels, image.data.len());
+        let size = |image: &FeatureMap| (image.height, image.width, image.channels, image.data.len());
         let Some(first) = renders.first().map(size) else {
             return Err(Error::BadInput("the error encoder needs at least one camera".into()));
         };
@@ -142,9 +147,9 @@ impl ErrorEncoder {
             )));
         }
         let (rows, columns) = (height / side, width / side);
-        let view = |((render, observed), maps): ((&Plane, &Plane), &FeatureMaps)| -> Result<Plane> {
+        let view = |((render, observed), maps): ((&FeatureMap, &FeatureMap), &FeatureMaps)| -> Result<FeatureMap> {
             let error = self.colour_error(render, observed);
-            let mut out = Plane::zeros(rows, columns, self.features);
+            let mut out = FeatureMap::zeros(rows, columns, self.features);
             let pieces = out.data.par_chunks_mut(ROWS_PER_PIECE * self.features);
             pieces
                 .zip(error.par_chunks(ROWS_PER_PIECE * self.layout.channels()))
@@ -164,7 +169,7 @@ impl ErrorEncoder {
 
     /// Input of the colour projection. `[tokens, 3 * side^2]`
     #[must_use]
-    pub fn colour_error(&self, render: &Plane, observed: &Plane) -> Vec<f32> {
+    pub fn colour_error(&self, render: &FeatureMap, observed: &FeatureMap) -> Vec<f32> {
         let mut difference = render.data.clone();
         difference
             .iter_mut()
@@ -191,7 +196,7 @@ impl ErrorEncoder {
 }
 
 /// The map cut, or continued by its last row and column, at the bottom and right.
-fn with_size(mut map: Plane, (height, width): (usize, usize)) -> Plane {
+fn with_size(mut map: FeatureMap, (height, width): (usize, usize)) -> FeatureMap {
     if width == map.width {
         // Rows are contiguous: nothing moves.
         let line = width * map.channels;
@@ -199,9 +204,9 @@ fn with_size(mut map: Plane, (height, width): (usize, usize)) -> Plane {
         while map.data.len() < height * line {
             map.data.extend_from_within(map.data.len() - line..);
         }
-        return Plane { height, ..map };
+        return FeatureMap { height, ..map };
     }
-    let mut out = Plane::zeros(height, width, map.channels);
+    let mut out = FeatureMap::zeros(height, width, map.channels);
     let c = map.channels;
     let copied = width.min(map.width) * c;
     out.data.par_chunks_mut(width * c).enumerate().for_each(|(row, line)| {

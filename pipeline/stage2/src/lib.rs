@@ -31,7 +31,7 @@ pub use knn::nearest_neighbours;
 pub use refiner::{Refiner, TokenSet};
 pub use released::{ReleasedImport, ReleasedModel, import_released, verify_released};
 pub use resnet::{FeatureMaps, ResNetFront};
-pub use rogs_kernels::Plane;
+pub use rogs_kernels::FeatureMap;
 pub use rogs_tensors::{Error, Result};
 pub use tokens::TokenGrid;
 pub use updater::Updater;

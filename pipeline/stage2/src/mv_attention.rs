@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::resnet::checked;
 use crate::{Error, Result};
 use rogs_kernels::pointwise::add_assign;
-use rogs_kernels::{LayerNorm, Linear, PackedAttention, Plane, Precision, ROWS_PER_PIECE, TileSize, Winograd};
+use rogs_kernels::{FeatureMap, LayerNorm, Linear, PackedAttention, Precision, ROWS_PER_PIECE, TileSize, Winograd};
 use rogs_tensors::parameters::Parameters;
 
 /// Side of the pixel blocks that become one token.
@@ -40,7 +40,7 @@ pub struct MultiViewTrace {
     /// After the transformer block. `[tokens, channels]`
     pub attended: Vec<f32>,
     /// After unfolding, its normalisation and the convolution, per view. `[height, width, channels]`
-    pub smoothed: Vec<Plane>,
+    pub smoothed: Vec<FeatureMap>,
 }
 
 impl MultiViewAttention {
@@ -111,11 +111,11 @@ impl MultiViewAttention {
     ///
     /// # Errors
     /// When the views differ in size, or their sides are not multiples of four.
-    pub fn forward(&self, views: &mut [Plane]) -> Result<()> {
+    pub fn forward(&self, views: &mut [FeatureMap]) -> Result<()> {
         let (tokens, shape) = self.fold_views(views)?;
         let tokens = self.transform(tokens);
         // One view at a time: the unfolded map is as large as the view.
-        let mut unfolded = Plane::zeros(shape.0 * FACTOR, shape.1 * FACTOR, self.channels);
+        let mut unfolded = FeatureMap::zeros(shape.0 * FACTOR, shape.1 * FACTOR, self.channels);
         let low = tokens.chunks_exact(shape.0 * shape.1 * self.channels);
         for (view, tokens) in views.iter_mut().zip(low) {
             self.unfold_view(tokens, shape, &mut unfolded);
@@ -129,15 +129,15 @@ impl MultiViewAttention {
     ///
     /// # Errors
     /// As [`Self::forward`].
-    pub fn trace(&self, views: &[Plane]) -> Result<MultiViewTrace> {
+    pub fn trace(&self, views: &[FeatureMap]) -> Result<MultiViewTrace> {
         let (folded, shape) = self.fold_views(views)?;
         let attended = self.transform(folded.clone());
         let low = attended.chunks_exact(shape.0 * shape.1 * self.channels);
         let smoothed = low
             .map(|tokens| {
-                let mut unfolded = Plane::zeros(shape.0 * FACTOR, shape.1 * FACTOR, self.channels);
+                let mut unfolded = FeatureMap::zeros(shape.0 * FACTOR, shape.1 * FACTOR, self.channels);
                 self.unfold_view(tokens, shape, &mut unfolded);
-                let mut smoothed = Plane::zeros(unfolded.height, unfolded.width, self.channels);
+                let mut smoothed = FeatureMap::zeros(unfolded.height, unfolded.width, self.channels);
                 self.smooth
                     .add_to(&unfolded.data, [unfolded.height, unfolded.width], &mut smoothed.data);
                 smoothed
@@ -151,7 +151,7 @@ impl MultiViewAttention {
     }
 
     /// Tokens of all views, in the order (view, row, column), projected and normalised; and rows and columns of a view.
-    fn fold_views(&self, views: &[Plane]) -> Result<(Vec<f32>, (usize, usize))> {
+    fn fold_views(&self, views: &[FeatureMap]) -> Result<(Vec<f32>, (usize, usize))> {
         let c = self.channels;
         let Some(first) = views.first() else {
             return Err(Error::BadInput("multi-view attention needs at least one view".into()));
@@ -214,7 +214,7 @@ impl MultiViewAttention {
     }
 
     /// Tokens of one view back to its pixels, all of which are overwritten.
-    fn unfold_view(&self, tokens: &[f32], (_, columns): (usize, usize), out: &mut Plane) {
+    fn unfold_view(&self, tokens: &[f32], (_, columns): (usize, usize), out: &mut FeatureMap) {
         let c = self.channels;
         let width = columns * FACTOR;
         let pieces = out

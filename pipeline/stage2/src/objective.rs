@@ -114,29 +114,50 @@ pub struct UpdateOutcome {
     pub motion: Option<RenderedMotion>,
 }
 
-/// The unweighted terms of one update and their weighted sum. `[1]` each; a term without data is zero.
-#[derive(Debug, Clone)]
-pub struct ObjectiveTerms {
+/// The unweighted terms of one update and their weighted sum, `[1]` each or as numbers; a term without data is zero.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ObjectiveTerms<T = Tensor<1>> {
     /// Mean absolute colour difference, right views counted as often as the weights say.
-    pub rendering: Tensor<1>,
+    pub rendering: T,
     /// Mean squared colour difference, counted in the same way.
-    pub rendering_squared: Tensor<1>,
+    pub rendering_squared: T,
     /// Mean perceptual distance.
-    pub perceptual: Tensor<1>,
+    pub perceptual: T,
     /// Mean `|D - D*| / D*` over valid pixels.
-    pub depth: Tensor<1>,
+    pub depth: T,
     /// Mean absolute coordinate difference of robot positions, metres.
-    pub robot: Tensor<1>,
-    /// Mean absolute coordinate difference of displacements against tracks.
-    pub motion: Tensor<1>,
+    pub robot: T,
+    /// Mean absolute coordinate difference of displacements against tracks, internal units.
+    pub motion: T,
     /// The same against Stage 1.
-    pub preservation: Tensor<1>,
+    pub preservation: T,
     /// Mean `(1 - alpha)^2` over valid pixels of source views.
-    pub coverage: Tensor<1>,
+    pub coverage: T,
     /// The same for right views.
-    pub coverage_right: Tensor<1>,
+    pub coverage_right: T,
     /// Weighted sum.
-    pub total: Tensor<1>,
+    pub total: T,
+}
+
+impl<T> ObjectiveTerms<T> {
+    /// The terms as something else.
+    ///
+    /// # Errors
+    /// The first that `f` has.
+    pub fn try_map<U, E>(self, mut f: impl FnMut(T) -> Result<U, E>) -> Result<ObjectiveTerms<U>, E> {
+        Ok(ObjectiveTerms {
+            rendering: f(self.rendering)?,
+            rendering_squared: f(self.rendering_squared)?,
+            perceptual: f(self.perceptual)?,
+            depth: f(self.depth)?,
+            robot: f(self.robot)?,
+            motion: f(self.motion)?,
+            preservation: f(self.preservation)?,
+            coverage: f(self.coverage)?,
+            coverage_right: f(self.coverage_right)?,
+            total: f(self.total)?,
+        })
+    }
 }
 
 /// Distance of a render `[P, 3]` from its observation `[P, 3]` as a `[1]` tensor, for example LPIPS.

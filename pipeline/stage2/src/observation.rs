@@ -8,7 +8,7 @@ use super::updater::{NeighbourBlock, Neighbours};
 use super::{ErrorEncoder, FeatureMaps, nearest_neighbours};
 use crate::{Error, Result};
 use rogs_kernels::pointwise::gelu_in_place;
-use rogs_kernels::{Conv, Linear, Plane};
+use rogs_kernels::{Conv, FeatureMap, Linear};
 use rogs_tensors::parameters::{Parameters, from_host, to_host};
 
 /// A frozen network from source images to features per source pixel. Encoders see the images of one source time.
@@ -20,7 +20,7 @@ pub trait ObservationEncoder {
     ///
     /// # Errors
     /// When the images do not fit the encoder.
-    fn encode(&self, images: &[Plane]) -> Result<Vec<Plane>>;
+    fn encode(&self, images: &[FeatureMap]) -> Result<Vec<FeatureMap>>;
 }
 
 /// The default encoder: the feature maps of the error encoder, which are computed anyway.
@@ -29,8 +29,8 @@ impl ObservationEncoder for ErrorEncoder {
         self.features()
     }
 
-    fn encode(&self, images: &[Plane]) -> Result<Vec<Plane>> {
-        let full = |image: &Plane| Ok(self.feature_maps(image)?.concatenated(image.height, image.width));
+    fn encode(&self, images: &[FeatureMap]) -> Result<Vec<FeatureMap>> {
+        let full = |image: &FeatureMap| Ok(self.feature_maps(image)?.concatenated(image.height, image.width));
         images.iter().map(full).collect()
     }
 }
@@ -95,7 +95,7 @@ pub struct TrunkTailConfig {
 #[derive(Debug, Clone)]
 pub struct TrunkTailOutput {
     /// Output of the regressor per view. `[height, width, channels]`
-    pub regressed: Vec<Plane>,
+    pub regressed: Vec<FeatureMap>,
     /// Projected tokens. `[tokens, width]`
     pub projected: Vec<f32>,
     /// Output of the alternating blocks. `[tokens, width]`
@@ -156,13 +156,18 @@ impl ObservationTrunkTail {
     ///
     /// # Errors
     /// When views and points disagree, or a device fails.
-    pub fn forward(&self, joined: &[Plane], points: &[[f32; 3]], parameters: &Parameters) -> Result<TrunkTailOutput> {
-        let regress = |view: &Plane| {
+    pub fn forward(
+        &self,
+        joined: &[FeatureMap],
+        points: &[[f32; 3]],
+        parameters: &Parameters,
+    ) -> Result<TrunkTailOutput> {
+        let regress = |view: &FeatureMap| {
             let mut inner = self.regressor[0].forward(view);
             gelu_in_place(&mut inner.data);
             self.regressor[1].forward(&inner)
         };
-        let regressed: Vec<Plane> = joined.iter().map(regress).collect();
+        let regressed: Vec<FeatureMap> = joined.iter().map(regress).collect();
         let Some((height, width)) = joined.first().map(|view| (view.height, view.width)) else {
             return Err(Error::BadInput(
                 "the observation encoder needs at least one view".into(),
@@ -190,13 +195,13 @@ impl ObservationTrunkTail {
         for (near, across) in &self.blocks {
             let tensor: Tensor<2> = from_host(attended, [tokens, self.width], parameters.device());
             let near = to_host(near.forward(tensor, &neighbours))?;
-            let as_view = |data: &[f32]| Plane {
+            let as_view = |data: &[f32]| FeatureMap {
                 height,
                 width,
                 channels: self.width,
                 data: data.to_vec(),
             };
-            let mut views: Vec<Plane> = near.chunks_exact(height * width * self.width).map(as_view).collect();
+            let mut views: Vec<FeatureMap> = near.chunks_exact(height * width * self.width).map(as_view).collect();
             across.forward(&mut views)?;
             attended = views.into_iter().flat_map(|view| view.data).collect();
         }

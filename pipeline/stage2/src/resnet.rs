@@ -2,7 +2,7 @@
 
 use crate::{Error, Result};
 use rogs_kernels::pointwise::{add_assign, relu_in_place};
-use rogs_kernels::{Conv, MaxPool, Plane, add_resized};
+use rogs_kernels::{Conv, FeatureMap, MaxPool, add_resized};
 use rogs_tensors::parameters::Parameters;
 
 /// Mean and standard deviation that images are normalised by.
@@ -13,7 +13,7 @@ const DEVIATION: [f32; 3] = [0.229, 0.224, 0.225];
 #[derive(Debug, Clone, PartialEq)]
 pub struct FeatureMaps {
     /// First convolution before its normalisation; first layer; second layer.
-    pub maps: [Plane; 3],
+    pub maps: [FeatureMap; 3],
 }
 
 impl FeatureMaps {
@@ -25,8 +25,8 @@ impl FeatureMaps {
 
     /// The maps resized to one grid and concatenated. `[height, width, channels]`
     #[must_use]
-    pub fn concatenated(&self, height: usize, width: usize) -> Plane {
-        let mut out = Plane::zeros(height, width, self.channels());
+    pub fn concatenated(&self, height: usize, width: usize) -> FeatureMap {
+        let mut out = FeatureMap::zeros(height, width, self.channels());
         self.add_concatenated(height, width, &mut out.data);
         out
     }
@@ -112,7 +112,7 @@ impl ResNetFront {
     ///
     /// # Errors
     /// When the image has not three channels or no pixel.
-    pub fn forward(&self, image: &Plane) -> Result<FeatureMaps> {
+    pub fn forward(&self, image: &FeatureMap) -> Result<FeatureMaps> {
         if image.channels != 3 || image.data.is_empty() || image.data.len() != image.height * image.width * 3 {
             return Err(Error::BadInput(format!(
                 "an RGB image was expected, got {} x {} x {}",
@@ -133,7 +133,7 @@ impl ResNetFront {
             }
         }
         let pooled = MaxPool::OVERLAPPING.forward(&activated);
-        let run = |blocks: &[BasicBlock; 2], map: &Plane| blocks[1].forward(&blocks[0].forward(map));
+        let run = |blocks: &[BasicBlock; 2], map: &FeatureMap| blocks[1].forward(&blocks[0].forward(map));
         let quarter = run(&self.layers[0], &pooled);
         let eighth = run(&self.layers[1], &quarter);
         Ok(FeatureMaps {
@@ -143,7 +143,7 @@ impl ResNetFront {
 }
 
 impl BasicBlock {
-    fn forward(&self, map: &Plane) -> Plane {
+    fn forward(&self, map: &FeatureMap) -> FeatureMap {
         let mut inner = self.first.forward(map);
         relu_in_place(&mut inner.data);
         let mut out = self.second.forward(&inner);

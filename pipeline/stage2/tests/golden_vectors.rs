@@ -8,7 +8,7 @@ use rogs_needs::needs;
 use rogs_stage2::error_encoder::ColourLayout;
 use rogs_stage2::mv_attention::MultiViewAttention;
 use rogs_stage2::observation::{ObservationTrunkTail, TrunkTailConfig};
-use rogs_stage2::{Plane, RefinerConfig, ResNetFront, parameter_shapes};
+use rogs_stage2::{FeatureMap, RefinerConfig, ResNetFront, parameter_shapes};
 use support::{FEATURE, STATE, golden, updates};
 
 #[needs(shared)]
@@ -28,7 +28,7 @@ fn resnet_front_gives_the_three_maps() {
             golden.close(&format!("feat{level}"), &map.data, &expected.data, FEATURE);
         }
     }
-    assert!(front.forward(&Plane::zeros(4, 4, 1)).is_err());
+    assert!(front.forward(&FeatureMap::zeros(4, 4, 1)).is_err());
 }
 
 #[test]
@@ -57,7 +57,7 @@ fn multi_view_attention_follows_the_released_block() {
         }
         block.forward(&mut views).unwrap();
         golden.close_to("out.y", &support::joined(&views), FEATURE);
-        let odd = vec![Plane::zeros(6, 8, channels)];
+        let odd = vec![FeatureMap::zeros(6, 8, channels)];
         assert!(block.trace(&odd).is_err(), "sides must be multiples of four");
     }
 }

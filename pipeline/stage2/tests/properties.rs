@@ -5,8 +5,8 @@ use burn::tensor::{Device, Tensor};
 use rogs_stage2::updater::Neighbours;
 use rogs_stage2::weights::{is_trained, uniform};
 use rogs_stage2::{
-    ErrorEncoder, Plane, Refiner, RefinerConfig, TokenGrid, TokenSet, Updater, nearest_neighbours, parameter_shapes,
-    seeded_parameters,
+    ErrorEncoder, FeatureMap, Refiner, RefinerConfig, TokenGrid, TokenSet, Updater, nearest_neighbours,
+    parameter_shapes, seeded_parameters,
 };
 use rogs_tensors::parameters::{Parameters, from_host, to_host};
 
@@ -31,12 +31,12 @@ fn tiny(seed: u64, device: &Device) -> (RefinerConfig, Parameters) {
     (config, parameters)
 }
 
-fn image(name: &str, height: usize, width: usize) -> Plane {
+fn image(name: &str, height: usize, width: usize) -> FeatureMap {
     let data = uniform(name, height * width * 3, 1, 0.5)
         .into_iter()
         .map(|value| value + 0.5)
         .collect();
-    Plane {
+    FeatureMap {
         height,
         width,
         channels: 3,
@@ -85,9 +85,9 @@ fn cameras_see_each_other_in_the_attention_and_nowhere_else() {
         .collect();
     let renders = [image("c", 8, 8), image("d", 8, 8)];
     let changed = [renders[0].clone(), image("e", 8, 8)];
-    let before = |renders: &[Plane]| encoder.before_attention(renders, &observed, &maps).unwrap();
+    let before = |renders: &[FeatureMap]| encoder.before_attention(renders, &observed, &maps).unwrap();
     assert_eq!(before(&renders)[0], before(&changed)[0]);
-    let after = |renders: &[Plane]| encoder.forward(renders, &observed, &maps).unwrap();
+    let after = |renders: &[FeatureMap]| encoder.forward(renders, &observed, &maps).unwrap();
     assert_ne!(after(&renders)[0], after(&changed)[0]);
 }
 

@@ -3,10 +3,13 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of benchmarks may be left half-written")]
 
+#[path = "../../../tests/support/bench.rs"]
+mod bench;
+
 use std::path::Path;
-use std::process::Command;
 use std::time::Instant;
 
+use bench::{processor_seconds, run_peer};
 use rayon::ThreadPoolBuilder;
 use rayon::prelude::*;
 use rogs_conditioning::fk_maps::{LinkDisplacement, SourcePoints, fill_dense_batch, link_displacement};
@@ -36,14 +39,7 @@ fn main() {
         println!("{:.0} % of the pixels show the robot", cover * 100.0);
         measure(&workload(cover));
     }
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    println!(
-        "{}",
-        status
-            .lines()
-            .find(|line| line.starts_with("VmHWM"))
-            .unwrap_or("no peak memory known")
-    );
+    println!("peak memory {} MiB", rogs_worker::peak_rss_bytes() >> 20);
 }
 
 /// A compact robot on the left of the image, its links in bands.
@@ -204,33 +200,13 @@ fn shown(times: [f64; 3]) -> String {
     format!("{:.2} / {:.2} / {:.2}", times[0], times[1], times[2])
 }
 
-/// Processor time of all threads of this process so far; NaN where the system does not tell.
-fn processor_seconds() -> f64 {
-    let Ok(threads) = std::fs::read_dir("/proc/self/task") else {
-        return f64::NAN;
-    };
-    let of = |thread: std::io::Result<std::fs::DirEntry>| -> Option<f64> {
-        let text = std::fs::read_to_string(thread.ok()?.path().join("schedstat")).ok()?;
-        Some(text.split(' ').next()?.parse::<f64>().ok()? * 1e-9)
-    };
-    threads.filter_map(of).sum()
-}
-
 fn report_peer(workload: &Workload, map: &[f32], ours: [[f64; 3]; 3]) {
-    let Some(python) = std::env::var_os("ROGS_PEER_PYTHON") else {
-        println!("  peers skipped: set ROGS_PEER_PYTHON to a Python with numpy");
-        return;
-    };
     let folder = tempfile::tempdir().expect("a temporary folder");
     write_workload(workload, folder.path());
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/peers/fk_maps.py");
-    let output = Command::new(python)
-        .arg(script)
-        .arg(folder.path())
-        .output()
-        .expect("the peer runs");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    for line in String::from_utf8_lossy(&output.stdout).lines() {
+    let Some(output) = run_peer("fk_maps.py", &[folder.path().as_os_str()]) else {
+        return;
+    };
+    for line in output.lines() {
         let words: Vec<&str> = line.split_whitespace().collect();
         let [name, median, least, processor, memory] = words.as_slice() else {
             continue;

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use burn::tensor::{Device, Tensor};
 pub use lifting::MotionOptions;
 pub use model::{COMPACT_WEIGHTS, Model, load_model};
-pub use params::{CrossCamera, LiftParams, Numbers, QueryState, RobotMotion, TokenSource};
+pub use params::{CrossCamera, LiftParams, ProductPrecision, QueryState, RobotMotion, TokenSource};
 pub use query::FieldQuery;
 use rogs_r4c::Record;
 use rogs_schemas::SchemaId;

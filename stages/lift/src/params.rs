@@ -36,8 +36,8 @@ pub struct LiftParams {
     pub source_frames: Option<Vec<u32>>,
     /// Whether the field keeps what is needed to be asked at other times.
     pub query_state: QueryState,
-    /// Numbers of the large matrix products of encoder and aggregator.
-    pub precision: Numbers,
+    /// Precision of the large matrix products of encoder and aggregator.
+    pub precision: ProductPrecision,
     /// Where the network runs: `cpu`, or `gpu` where the program was built with the feature `gpu`.
     pub device: String,
     /// What patch tokens are made from.
@@ -46,21 +46,21 @@ pub struct LiftParams {
     pub latent_stride: Option<u32>,
 }
 
-/// Numbers of large matrix products; sums and everything else are f32.
+/// Precision of large matrix products; sums and everything else are f32.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
-pub enum Numbers {
+pub enum ProductPrecision {
     /// f32.
     F32,
     /// Operands rounded to bfloat16: faster on CPUs with AVX512_BF16, the same bits on others, and less exact.
     Bf16,
 }
 
-impl From<Numbers> for Precision {
-    fn from(numbers: Numbers) -> Self {
+impl From<ProductPrecision> for Precision {
+    fn from(numbers: ProductPrecision) -> Self {
         match numbers {
-            Numbers::F32 => Self::F32,
-            Numbers::Bf16 => Self::Bf16,
+            ProductPrecision::F32 => Self::F32,
+            ProductPrecision::Bf16 => Self::Bf16,
         }
     }
 }
@@ -126,7 +126,7 @@ impl Default for LiftParams {
             rgb_downsample: 1,
             source_frames: None,
             query_state: QueryState::Auto,
-            precision: Numbers::F32,
+            precision: ProductPrecision::F32,
             device: "cpu".into(),
             tokens: TokenSource::Rgb,
             latent_stride: None,
@@ -168,7 +168,7 @@ impl LiftParams {
             return Err(StageError::bad_params("`latent_stride` must be 8 or 16, or null"));
         }
         device::check(&self.device).map_err(|error| StageError::bad_params(error.to_string()))?;
-        if self.device != "cpu" && self.precision == Numbers::Bf16 {
+        if self.device != "cpu" && self.precision == ProductPrecision::Bf16 {
             return Err(StageError::bad_params(
                 "`precision = \"bf16\"` needs the CPU: GPUs are programmed in WGSL here, which has no \
                  bfloat16 numbers",
@@ -220,14 +220,16 @@ mod tests {
             precision,
             ..LiftParams::default()
         };
-        assert!(on("cpu", Numbers::Bf16).validate().is_ok());
-        assert!(on("gpu", Numbers::F32).validate().is_ok());
-        let error = on("gpu", Numbers::Bf16).validate().unwrap_err();
+        assert!(on("cpu", ProductPrecision::Bf16).validate().is_ok());
+        assert!(on("gpu", ProductPrecision::F32).validate().is_ok());
+        let error = on("gpu", ProductPrecision::Bf16).validate().unwrap_err();
         assert!(error.message.contains("no bfloat16"), "{}", error.message);
-        let error = on("tpu", Numbers::F32).validate().unwrap_err();
+        let error = on("tpu", ProductPrecision::F32).validate().unwrap_err();
         assert!(error.message.contains("`cpu` or `gpu`"), "{}", error.message);
         if cfg!(not(feature = "gpu")) {
-            let error = crate::load_model(&on("gpu", Numbers::F32), None).err().unwrap();
+            let error = crate::load_model(&on("gpu", ProductPrecision::F32), None)
+                .err()
+                .unwrap();
             assert!(error.message.contains("feature `gpu`"), "{}", error.message);
         }
     }

@@ -1,120 +1,23 @@
 //! Latents of a tokenizer in place of RGB tokens.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
+mod support;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 use rogs_lift::latents::{LATENTS, open_adapter};
 use rogs_lift::{ClipInputs, LiftParams, Model, TokenSource, lift_clip, load_model};
-use rogs_schemas::pose::{Intrinsics, RigidPose};
-use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
-use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::field::Field;
-use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_tensors::parameters::Parameters;
 use rogs_weights::{ElementType, KIND, TensorSource, write};
 use rogs_worker::{StageResult, Unobserved};
+use support::small_clip;
 
 /// Two by two tokens.
 const SIDE: usize = 28;
-const AREA: usize = SIDE * SIDE;
-const FRAMES: usize = 5;
 const CAMERAS: [&str; 3] = ["wrist", "ext1", "ext2"];
-
-struct Inputs {
-    clip: Clip,
-    robot: RobotMaps,
-    conditioning: Conditioning,
-}
-
-/// Three cameras, source frames 0 and 4, no robot in sight.
-fn inputs() -> Inputs {
-    let camera = |id: &str| ClipCamera {
-        id: id.into(),
-        role: CameraRole::Source,
-        partner: None,
-        intrinsics: Intrinsics {
-            fx: 30.0,
-            fy: 30.0,
-            cx: 14.0,
-            cy: 14.0,
-        },
-        mount: CameraMount::Fixed {
-            base_from_camera: RigidPose::IDENTITY,
-        },
-        rgb: Some((0..FRAMES * AREA * 3).map(|k| ((k * 31) % 251) as u8).collect()),
-        depth: None,
-    };
-    let clip = Clip {
-        clip_id: "clip".parse().unwrap(),
-        episode_id: "episode".into(),
-        layout: "rogs-episode".into(),
-        task: String::new(),
-        calibration_note: String::new(),
-        fps: 15.0,
-        episode_frames: (0..FRAMES as u32).collect(),
-        source_frames: vec![0, 4],
-        query_frames: vec![4],
-        anchor_frame: 0,
-        height: SIDE as u32,
-        width: SIDE as u32,
-        cameras: CAMERAS.iter().map(|id| camera(id)).collect(),
-        robot: RobotStates {
-            joint_names: vec![],
-            positions: vec![],
-            gripper: vec![0.0; FRAMES],
-        },
-        tracks: None,
-    };
-    let map = |camera: u32, frame: u32| RobotMap {
-        camera,
-        frame,
-        depth_m: vec![0.0; AREA],
-        link: vec![NO_LINK; AREA],
-        support: vec![0; AREA],
-    };
-    let robot = RobotMaps {
-        clip_id: "clip".parse().unwrap(),
-        link_names: vec!["base".into()],
-        base_from_link: vec![RigidPose::IDENTITY; FRAMES],
-        base_from_camera: vec![RigidPose::IDENTITY; 3 * FRAMES],
-        recon_from_base: RigidPose::IDENTITY,
-        tool_m: vec![0.0; 3 * FRAMES],
-        height: SIDE as u32,
-        width: SIDE as u32,
-        maps: (0..3)
-            .flat_map(|camera| (0..FRAMES as u32).map(move |frame| map(camera, frame)))
-            .collect(),
-    };
-    let (views, query_frames) = (clip.source_views(), clip.field_frames());
-    let view_maps = views.iter().map(|_| ViewConditioning {
-        pixels: vec![],
-        link: vec![],
-        depth_m: vec![],
-        displacement_iu: vec![],
-        available: vec![1; query_frames.len()],
-        prior: GripperPrior {
-            centre_px: [14.0, 14.0],
-            depth_m: 0.8,
-            focal_px: [30.0, 30.0],
-            sigma_m: 0.1,
-        },
-    });
-    let conditioning = Conditioning {
-        clip_id: "clip".parse().unwrap(),
-        height: SIDE as u32,
-        width: SIDE as u32,
-        view_maps: view_maps.collect(),
-        views,
-        query_frames,
-    };
-    Inputs {
-        clip,
-        robot,
-        conditioning,
-    }
-}
 
 fn noise(count: usize, scale: f32) -> Vec<f32> {
     (0..count)
@@ -185,7 +88,7 @@ fn latents(folder: &Path, change: Change<'_>) -> PathBuf {
 }
 
 fn lift(model: &Model, params: &LiftParams, path: Option<&Path>, adapter: Option<&Parameters>) -> StageResult<Field> {
-    let inputs = inputs();
+    let inputs = small_clip([SIDE, SIDE], &CAMERAS, &[4], &[]);
     let from = ClipInputs {
         clip: &inputs.clip,
         robot: &inputs.robot,

@@ -1,157 +1,31 @@
 //! Lifting of small clips made here: what a field contains, the interventions, queries, determinism.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
+mod support;
+
 use rogs_lift::{
-    ClipInputs, CrossCamera, FieldQuery, LiftParams, Model, MotionOptions, Numbers, RobotMotion, lift_clip, load_model,
+    CrossCamera, FieldQuery, LiftParams, Model, MotionOptions, ProductPrecision, RobotMotion, lift_clip, load_model,
 };
-use rogs_schemas::pose::{Intrinsics, RigidPose};
 use rogs_schemas::records::clip::DepthReference;
-use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
-use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::field::{Field, GATE_ATTRIBUTES, RAW_CHANNELS};
 use rogs_schemas::records::origin::ReferenceOrigin;
-use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
+use rogs_schemas::records::robot::NO_LINK;
 use rogs_worker::Unobserved;
+use support::{FRAMES, Inputs, MESH_DEPTH_M, small_clip};
 
 const HEIGHT: usize = 28;
 const WIDTH: usize = 42;
 const AREA: usize = HEIGHT * WIDTH;
-const FRAMES: usize = 5;
-/// Robot pixels: a block in the middle, one metre away, on link 1.
-const MESH_DEPTH_M: f32 = 0.8;
 
-struct Inputs {
-    clip: Clip,
-    robot: RobotMaps,
-    conditioning: Conditioning,
+/// Two cameras that see the robot, asked for frames 1 and 4 as well.
+fn inputs() -> Inputs {
+    small_clip([HEIGHT, WIDTH], &["wrist", "ext1"], &[1, 4], &robot_pixels())
 }
 
 fn robot_pixels() -> Vec<u32> {
     (0..AREA as u32)
         .filter(|pixel| (10..18).contains(&(pixel / WIDTH as u32)) && (15..25).contains(&(pixel % WIDTH as u32)))
         .collect()
-}
-
-/// Two cameras, source frames 0 and 4; link 1 moves 2 cm along base x and turns per frame.
-fn inputs() -> Inputs {
-    let intrinsics = Intrinsics {
-        fx: 30.0,
-        fy: 30.0,
-        cx: 21.0,
-        cy: 14.0,
-    };
-    let camera_pose = |camera: usize| RigidPose {
-        translation: [0.3 * camera as f64, 0.0, 0.0],
-        ..RigidPose::IDENTITY
-    };
-    let rgb = |camera: usize| {
-        (0..FRAMES * AREA * 3)
-            .map(|k| ((k * 31 + camera * 97) % 251) as u8)
-            .collect()
-    };
-    let cameras = (0..2).map(|index| ClipCamera {
-        id: ["wrist", "ext1"][index].into(),
-        role: CameraRole::Source,
-        partner: None,
-        intrinsics,
-        mount: CameraMount::Fixed {
-            base_from_camera: camera_pose(index),
-        },
-        rgb: Some(rgb(index)),
-        depth: None,
-    });
-    let clip = Clip {
-        clip_id: "clip".parse().unwrap(),
-        episode_id: "episode".into(),
-        layout: "rogs-episode".into(),
-        task: String::new(),
-        calibration_note: String::new(),
-        fps: 15.0,
-        episode_frames: (0..FRAMES as u32).collect(),
-        source_frames: vec![0, 4],
-        query_frames: vec![1, 4],
-        anchor_frame: 0,
-        height: HEIGHT as u32,
-        width: WIDTH as u32,
-        cameras: cameras.collect(),
-        robot: RobotStates {
-            joint_names: vec![],
-            positions: vec![],
-            gripper: vec![0.0; FRAMES],
-        },
-        tracks: None,
-    };
-    let link_pose = |frame: usize| {
-        let (s, c) = (0.1 * frame as f64).sin_cos();
-        RigidPose {
-            rotation: [c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0],
-            translation: [0.02 * frame as f64, 0.0, 0.0],
-        }
-    };
-    let map = |camera: u32, frame: u32| {
-        let mut map = RobotMap {
-            camera,
-            frame,
-            depth_m: vec![0.0; AREA],
-            link: vec![NO_LINK; AREA],
-            support: vec![0; AREA],
-        };
-        for pixel in robot_pixels() {
-            map.depth_m[pixel as usize] = MESH_DEPTH_M;
-            map.link[pixel as usize] = 1;
-            map.support[pixel as usize] = 1;
-        }
-        map
-    };
-    let robot = RobotMaps {
-        clip_id: "clip".parse().unwrap(),
-        link_names: vec!["base".into(), "arm".into()],
-        base_from_link: (0..FRAMES)
-            .flat_map(|frame| [RigidPose::IDENTITY, link_pose(frame)])
-            .collect(),
-        base_from_camera: (0..2)
-            .flat_map(|camera| (0..FRAMES).map(move |_| camera_pose(camera)))
-            .collect(),
-        recon_from_base: RigidPose::IDENTITY,
-        tool_m: vec![0.0; 3 * FRAMES],
-        height: HEIGHT as u32,
-        width: WIDTH as u32,
-        maps: (0..2)
-            .flat_map(|camera| (0..FRAMES as u32).map(move |frame| map(camera, frame)))
-            .collect(),
-    };
-    let views = clip.source_views();
-    let query_frames = clip.field_frames();
-    let count = robot_pixels().len();
-    let view_maps = views.iter().map(|view| ViewConditioning {
-        pixels: robot_pixels(),
-        link: vec![1; count],
-        depth_m: vec![MESH_DEPTH_M; count],
-        displacement_iu: query_frames
-            .iter()
-            .flat_map(|&frame| (0..count).flat_map(move |_| [0.07 * (frame as f32 - view.frame as f32), 0.01, 0.0]))
-            .collect(),
-        available: vec![1; query_frames.len()],
-        prior: GripperPrior {
-            centre_px: [20.0, 14.0],
-            depth_m: 0.8,
-            focal_px: [30.0, 30.0],
-            sigma_m: 0.1,
-        },
-    });
-    let conditioning = Conditioning {
-        clip_id: "clip".parse().unwrap(),
-        height: HEIGHT as u32,
-        width: WIDTH as u32,
-        view_maps: view_maps.collect(),
-        views,
-        query_frames,
-    };
-    Inputs {
-        clip,
-        robot,
-        conditioning,
-    }
 }
 
 fn model(params: &LiftParams) -> Model {
@@ -179,12 +53,6 @@ fn moving_model() -> Model {
         network,
         info: model.info,
         procedural_only: false,
-    }
-}
-
-impl Inputs {
-    fn all(&self) -> ClipInputs<'_> {
-        ClipInputs::new(&self.clip, &self.robot, &self.conditioning)
     }
 }
 
@@ -240,7 +108,7 @@ fn bf16_products_are_a_parameter_and_change_little() {
     let inputs = inputs();
     let plain = LiftParams::default();
     let rounded = LiftParams {
-        precision: Numbers::Bf16,
+        precision: ProductPrecision::Bf16,
         ..LiftParams::default()
     };
     let exact = lift_with(&model(&plain), &plain, &inputs);

@@ -83,15 +83,7 @@ fn main() -> Result<(), String> {
     );
     println!(
         "{:8.2} GiB peak resident, the clip included",
-        peak_bytes() as f64 / f64::from(1u32 << 30)
+        rogs_worker::peak_rss_bytes() as f64 / f64::from(1u32 << 30)
     );
     Ok(())
-}
-
-/// Peak resident memory of this process, 0 where the system does not say.
-fn peak_bytes() -> u64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-    let kibibytes = line.and_then(|line| line.trim().trim_end_matches(" kB").parse::<u64>().ok());
-    kibibytes.unwrap_or(0) * 1024
 }

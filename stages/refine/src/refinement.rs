@@ -7,7 +7,7 @@ use rogs_schemas::records::field::{Field, NamedArray, RAW_CHANNELS};
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep};
 use rogs_schemas::units::iu_from_m;
 use rogs_splat::{Contributions, Eligible, Gaussians, RasterConfig, Render, render_views_with_contributions};
-use rogs_stage2::{Plane, Refiner, TokenSet};
+use rogs_stage2::{FeatureMap, Refiner, TokenSet};
 use rogs_worker::{Observer, Part, StageError, StageResult};
 
 use crate::recurrence::{ClipInputs, Recurrence, state_name};
@@ -130,13 +130,13 @@ pub(crate) fn feedback(
     let (renders, contributions) =
         render_views_with_contributions(&scene, &time.cameras, &RasterConfig::default(), &owned).map_err(internal)?;
     drop(scene);
-    let as_plane = |render: Render| Plane {
+    let as_plane = |render: Render| FeatureMap {
         height: render.height,
         width: render.width,
         channels: 3,
         data: render.rgb,
     };
-    let renders: Vec<Plane> = renders.into_iter().map(as_plane).collect();
+    let renders: Vec<FeatureMap> = renders.into_iter().map(as_plane).collect();
     observer.progress(0.2, "error features");
     let errors = refiner
         .encoder()
@@ -168,7 +168,7 @@ fn token_set(
     time: &SourceTime<'_>,
     before: &Correction,
     contributions: &Contributions,
-    errors: Vec<Plane>,
+    errors: Vec<FeatureMap>,
 ) -> StageResult<(TokenSet, Vec<f32>)> {
     let mass = contributions.mass();
     let pooled = {

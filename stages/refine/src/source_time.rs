@@ -6,7 +6,7 @@ use rogs_schemas::records::field::{Field, TimeSlice};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::units::LengthUnit;
 use rogs_splat::RasterCamera;
-use rogs_stage2::{FeatureMaps, Plane, Refiner, TokenGrid};
+use rogs_stage2::{FeatureMap, FeatureMaps, Refiner, TokenGrid};
 use rogs_worker::{StageError, StageResult};
 
 /// One source time of a clip.
@@ -20,7 +20,7 @@ pub(crate) struct SourceTime<'a> {
     /// Source cameras in the reconstruction frame, in the order of the grid's views.
     pub(crate) cameras: Vec<RasterCamera>,
     /// Observed images.
-    pub(crate) observed: Vec<Plane>,
+    pub(crate) observed: Vec<FeatureMap>,
     /// Their feature maps.
     pub(crate) maps: Vec<FeatureMaps>,
 }
@@ -75,7 +75,7 @@ fn source_time<'a>(
         let pixels = height * width * 3;
         let image = &rgb[frame as usize * pixels..(frame as usize + 1) * pixels];
         let data = image.iter().map(|&value| f32::from(value) / 255.0).collect();
-        observed.push(Plane {
+        observed.push(FeatureMap {
             height,
             width,
             channels: 3,

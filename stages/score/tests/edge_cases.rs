@@ -1,6 +1,9 @@
 //! The edge cases of `docs/spec/scoring.md` section 12, one test each.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
+#[path = "support/made_up.rs"]
+mod made_up;
+
 use rogs_random::{query_plan, query_plan_from_words};
 use rogs_schemas::records::scores::{ImageScore, RobotDepthScore, ScoreSheet, TrackScore};
 use rogs_score::metrics::{Pixels, RgbView, SsimVariant, bootstrap_interval, depth_scores, depth_support, psnr, ssim};
@@ -10,20 +13,7 @@ use rogs_score::tables::{Cell, TableId, TableInput, TableOptions, table};
 const RANGE_M: [f32; 2] = [0.1, 5.0];
 
 fn sheet(method: &str, clip: &str) -> ScoreSheet {
-    ScoreSheet {
-        clip_id: clip.parse().unwrap(),
-        method: method.into(),
-        setting: "recorded".into(),
-        ssim_variant: "skimage-sample-cov".into(),
-        lpips_note: Some("no LPIPS weights were given".into()),
-        weights: vec![],
-        images: vec![],
-        tracks: vec![],
-        robot_depth: vec![],
-        n_empty_support: 0,
-        invalid_gaussians: 0,
-        references: Vec::new(),
-    }
+    made_up::empty_sheet(method, "recorded", clip)
 }
 
 fn image(frame: u32, psnr: Option<f64>) -> ImageScore {

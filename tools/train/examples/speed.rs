@@ -9,14 +9,6 @@ use burn::tensor::Device;
 use rogs_train::stream::batches;
 use rogs_train::{Stage1Trainer, Stage1Training, Trainer};
 
-/// Peak resident memory of this process, GiB.
-fn peak() -> f64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-    let kibibytes = line.and_then(|line| line.trim().trim_end_matches(" kB").parse::<f64>().ok());
-    kibibytes.unwrap_or(f64::NAN) / f64::from(1 << 20)
-}
-
 fn main() -> rogs_train::Result<()> {
     let mut arguments = std::env::args().skip(1);
     let settings = match arguments.next() {
@@ -26,7 +18,10 @@ fn main() -> rogs_train::Result<()> {
     let updates = arguments.next().and_then(|count| count.parse().ok()).unwrap_or(6);
     let mut stream = batches(&settings, 0);
     let mut trainer = Stage1Trainer::new(settings, &Device::flex())?;
-    println!("network {:.2} GiB", peak());
+    println!(
+        "network {:.2} GiB",
+        rogs_worker::peak_rss_bytes() as f64 / f64::from(1 << 30)
+    );
     for _ in 0..updates {
         let start = Instant::now();
         let Some(batch) = stream.next_item() else { break };
@@ -35,7 +30,7 @@ fn main() -> rogs_train::Result<()> {
         let took = start.elapsed();
         println!(
             "clips {waited:.2?}  update {took:.2?}  peak {:.2} GiB  {report:?}",
-            peak()
+            rogs_worker::peak_rss_bytes() as f64 / f64::from(1 << 30)
         );
     }
     Ok(())

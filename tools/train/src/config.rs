@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
-use rogs_lift::Numbers;
+use rogs_lift::ProductPrecision;
 use rogs_stage1::Stage1Config;
 use rogs_tensors::device;
 use serde::{Deserialize, Serialize};
@@ -36,9 +36,9 @@ pub struct Stage1Training {
     /// Runs the aggregator twice, the second time a pair at a time, instead of keeping what all pairs compute: less memory,
     /// more time.
     pub gradient_checkpointing: bool,
-    /// Numbers of the products of linear layers and 3x3 convolutions, forwards and backwards: `f32`, or `bf16` with sums in
+    /// Precision of the products of linear layers and 3x3 convolutions, forwards and backwards: `f32`, or `bf16` with sums in
     /// f32. Parameters, moments and everything else stay f32. `bf16` is for the CPU.
-    pub precision: Numbers,
+    pub precision: ProductPrecision,
     /// Where clips come from.
     pub data: DataSettings,
     /// What is trained, and how fast.
@@ -152,7 +152,7 @@ impl Default for Stage1Training {
             evaluate_every: 200,
             evaluation_clips: 8,
             gradient_checkpointing: false,
-            precision: Numbers::F32,
+            precision: ProductPrecision::F32,
             data: DataSettings::default(),
             optimiser: OptimiserSettings::default(),
             losses: LossWeights::default(),
@@ -408,8 +408,8 @@ impl DataSettings {
 ///
 /// # Errors
 /// When products of bfloat16 are asked for on another device than the CPU.
-pub(crate) fn check_precision(precision: Numbers, device: &Device) -> Result<()> {
-    if precision != Numbers::F32 && !device::is_cpu(device) {
+pub(crate) fn check_precision(precision: ProductPrecision, device: &Device) -> Result<()> {
+    if precision != ProductPrecision::F32 && !device::is_cpu(device) {
         return Err(Error::Setting {
             what: "precision",
             value: "bf16".into(),

@@ -53,8 +53,8 @@ enum Command {
         #[arg(long)]
         out: PathBuf,
         /// Numbers of the file.
-        #[arg(long, value_enum, default_value_t = Numbers::Bf16)]
-        numbers: Numbers,
+        #[arg(long, value_enum, default_value_t = NumberFormat::Bf16)]
+        numbers: NumberFormat,
         /// Where the weights come from, for a person; by default a line made from the run.
         #[arg(long)]
         provenance: Option<String>,
@@ -93,7 +93,7 @@ impl CourseArguments {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum Numbers {
+enum NumberFormat {
     F32,
     F16,
     Bf16,
@@ -160,9 +160,9 @@ fn execute(command: Command) -> Result<()> {
             }
             trainer.settings = settings;
             let element = match numbers {
-                Numbers::F32 => ElementType::F32,
-                Numbers::F16 => ElementType::F16,
-                Numbers::Bf16 => ElementType::BF16,
+                NumberFormat::F32 => ElementType::F32,
+                NumberFormat::F16 => ElementType::F16,
+                NumberFormat::Bf16 => ElementType::BF16,
             };
             let mut metadata = trainer.metadata("");
             if let Some(provenance) = provenance {

@@ -16,7 +16,7 @@ use burn::tensor::Device;
 use latents::workspace;
 use losses::NONE;
 use networks::seeded_network;
-use rogs_lift::Numbers;
+use rogs_lift::ProductPrecision;
 use rogs_tensors::device;
 use rogs_tensors::optimiser::Gradients;
 use rogs_train::config::{DataSettings, LossWeights};
@@ -181,7 +181,7 @@ fn products_of_bfloat16_are_refused() {
     let gpu = gpu();
     let folder = tempfile::tempdir().unwrap();
     let settings = Stage1Training {
-        precision: Numbers::Bf16,
+        precision: ProductPrecision::Bf16,
         ..stage1(folder.path())
     };
     let error = Stage1Trainer::new(settings, &gpu).err().unwrap().to_string();

@@ -11,7 +11,7 @@ use std::path::Path;
 
 use burn::tensor::Device;
 use losses::NONE;
-use rogs_lift::Numbers;
+use rogs_lift::ProductPrecision;
 use rogs_lpips::{LpipsTensors, LpipsWeights};
 use rogs_random::Pcg64;
 use rogs_stage1::stage1_metadata;
@@ -436,7 +436,7 @@ fn products_of_bfloat16_hardly_change_an_update() {
         let report = trainer.update(&batch).unwrap();
         (report, first_moments(&trainer))
     };
-    let ((single, singles), (rounded, roundeds)) = (update(Numbers::F32), update(Numbers::Bf16));
+    let ((single, singles), (rounded, roundeds)) = (update(ProductPrecision::F32), update(ProductPrecision::Bf16));
     assert!(single.loss != rounded.loss);
     assert!(
         (single.loss - rounded.loss).abs() < 0.02 * single.loss,

@@ -11,7 +11,7 @@ use crate::Precision;
 
 /// What happens to the sums.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum After {
+pub enum Activation {
     /// Nothing.
     Nothing,
     /// Negative values become 0.
@@ -70,7 +70,7 @@ impl Conv3x3 {
         input: &[f32],
         [height, width]: [usize; 2],
         rectify: bool,
-        after: After,
+        after: Activation,
         residual: Option<&[f32]>,
     ) -> Vec<f32> {
         let area = height * width;
@@ -101,14 +101,14 @@ impl Conv3x3 {
     fn finish(
         &self,
         sums: &mut [f32],
-        after: After,
+        after: Activation,
         residual: Option<&[f32]>,
         (image, first, count): (usize, usize, usize),
         [height, width]: [usize; 2],
     ) {
         let area = height * width;
         for (channel, values) in sums.chunks_exact_mut(count * width).take(self.outputs).enumerate() {
-            if after == After::Relu {
+            if after == Activation::Relu {
                 values.iter_mut().for_each(|value| *value = value.max(0.0));
             }
             if let Some(residual) = residual {
@@ -275,7 +275,7 @@ mod tests {
                 &input,
                 [h, w],
                 false,
-                After::Nothing,
+                Activation::Nothing,
                 None,
             );
             let expected = plain(&input, &weight, &bias, [inputs, outputs], [h, w]);
@@ -289,7 +289,7 @@ mod tests {
                 &input,
                 [h, w],
                 true,
-                After::Relu,
+                Activation::Relu,
                 Some(&residual),
             );
             for ((a, b), r) in found.iter().zip(&expected).zip(&residual) {

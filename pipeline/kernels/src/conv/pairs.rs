@@ -196,7 +196,7 @@ mod x86 {
 mod tests {
     use super::*;
     use crate::noise::noise;
-    use crate::{After, Conv3x3, Precision};
+    use crate::{Activation, Conv3x3, Precision};
 
     #[test]
     fn equals_the_f32_kernel_on_rounded_numbers() {
@@ -215,7 +215,7 @@ mod tests {
             let (weight, bias) = (rounded(noise(outputs * inputs * TAPS, 2)), noise(outputs, 3));
             let run = |precision| {
                 let conv = Conv3x3::new(&weight, &bias, outputs, inputs, precision);
-                conv.run(&input, [height, width], false, After::Nothing, None)
+                conv.run(&input, [height, width], false, Activation::Nothing, None)
             };
             for (a, b) in run(Precision::Bf16).iter().zip(run(Precision::F32)) {
                 assert!(

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use crate::layers::ROWS_PER_PIECE;
 use crate::pointwise::{add_assign, relu_in_place};
-use crate::{Matrix, PackedWeight, Plane, Precision};
+use crate::{FeatureMap, Matrix, PackedWeight, Precision};
 
 /// A square convolution with zero padding.
 #[derive(Debug, Clone)]
@@ -85,9 +85,9 @@ impl Conv {
 
     /// The convolution of a map.
     #[must_use]
-    pub fn forward(&self, map: &Plane) -> Plane {
+    pub fn forward(&self, map: &FeatureMap) -> FeatureMap {
         let [height, width] = self.output_size([map.height, map.width]);
-        let mut out = Plane::zeros(height, width, self.outputs);
+        let mut out = FeatureMap::zeros(height, width, self.outputs);
         self.run(&map.data, [map.height, map.width], false, &mut out.data);
         out
     }
@@ -162,9 +162,9 @@ mod tests {
     use super::*;
 
     /// The convolution sum written out.
-    fn plain(map: &Plane, weight: &[f32], outputs: usize, size: usize, stride: usize) -> Plane {
+    fn plain(map: &FeatureMap, weight: &[f32], outputs: usize, size: usize, stride: usize) -> FeatureMap {
         let pad = size / 2;
-        let mut out = Plane::zeros(
+        let mut out = FeatureMap::zeros(
             (map.height + 2 * pad - size) / stride + 1,
             (map.width + 2 * pad - size) / stride + 1,
             outputs,
@@ -207,7 +207,7 @@ mod tests {
             let data = (0..height * width * inputs)
                 .map(|i| ((i * 31) % 17) as f32 / 8.0 - 1.0)
                 .collect();
-            let map = Plane {
+            let map = FeatureMap {
                 height,
                 width,
                 channels: inputs,

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use crate::vectorised;
 
-pub use taps::Taps;
+pub use taps::BilinearTaps;
 
 /// Features of a place of the grid.
 pub const FEATURES: usize = 16;

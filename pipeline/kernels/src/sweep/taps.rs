@@ -7,14 +7,14 @@ const PLACES: usize = FINER * FINER;
 
 /// What points read of the features of a frame: a weighted sum of four places each.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Taps {
+pub struct BilinearTaps {
     /// First, second, third and fourth place of every point.
     pub places: [Vec<i32>; PLACES],
     /// Their weights.
     pub weights: [Vec<f32>; PLACES],
 }
 
-impl Taps {
+impl BilinearTaps {
     /// Points that read nothing.
     fn none(points: usize) -> Self {
         Self {
@@ -34,8 +34,8 @@ impl Taps {
 impl Sweep {
     /// What cells read of their own frame: the same in all frames. `[h, w]`
     #[must_use]
-    pub fn own_taps(&self) -> Taps {
-        let mut taps = Taps::none(self.cells());
+    pub fn own_taps(&self) -> BilinearTaps {
+        let mut taps = BilinearTaps::none(self.cells());
         for cell in 0..self.cells() {
             taps.set(cell, self.places_of(cell).map(|place| (place, OWN_SHARE)));
         }
@@ -45,9 +45,9 @@ impl Sweep {
     /// What a frame reads of each of its partners at the points of its rays, so that the sum over partners is a mean over those
     /// that have the point in their image; nothing where a partner has not. `[D, h, w]` each
     #[must_use]
-    pub fn partner_taps(&self, frame: usize) -> Vec<Taps> {
+    pub fn partner_taps(&self, frame: usize) -> Vec<BilinearTaps> {
         let (cells, partners) = (self.cells(), &self.partners[frame]);
-        let mut taps = vec![Taps::none(self.depths_iu.len() * cells); partners.len()];
+        let mut taps = vec![BilinearTaps::none(self.depths_iu.len() * cells); partners.len()];
         let mut counts = vec![0.0f32; self.depths_iu.len()];
         for cell in 0..cells {
             self.count(frame, cell, &mut counts);

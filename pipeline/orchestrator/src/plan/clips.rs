@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use rogs_schemas::ContentHash;
 use serde_json::Map;
 
-use super::model::{Clip, Plan, Source, latents_file};
+use super::model::{Plan, PlannedClip, PlannedSource, latents_file};
 use super::params::normalise_overrides;
 use crate::diagnose::{At, Text};
 use crate::error::{Result, did_you_mean};
@@ -100,7 +100,7 @@ pub(super) fn add_clips(
         let predictions = predictions(plan, &id, sources)?;
         let latents = plan.latents.as_ref().map(|root| latents_file(root, &id));
         let latents = latents.filter(|file| file.is_file());
-        let clip = Clip {
+        let clip = PlannedClip {
             predictions,
             latents: latents.map(|file| sources.source("latents", &file)).transpose()?,
             id,
@@ -341,7 +341,7 @@ fn calibration(plan: &mut Plan, path: &Path, at: At<'_>, text: &Text, sources: &
         return Err(error.with_hint("paths in a manifest are relative to the manifest's folder"));
     }
     let content = sources.source("calibration", path)?;
-    plan.calibrations.push(Source {
+    plan.calibrations.push(PlannedSource {
         path: path.to_owned(),
         content,
     });

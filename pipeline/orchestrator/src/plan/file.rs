@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader, Write as _};
 use std::path::Path;
 
-use super::model::{Clip, InputSource, NodeInput, PLAN_FORMAT, Plan};
+use super::model::{InputSource, NodeInput, PLAN_FORMAT, Plan, PlannedClip};
 use crate::error::{Error, Result, io};
 
 /// Name of the plan in a run folder.
@@ -61,7 +61,7 @@ pub fn read_plan(run: &Path) -> Result<Plan> {
     plan.run = std::path::absolute(run).map_err(io("cannot find", run))?;
     for (index, line) in lines.enumerate() {
         let line = line.map_err(io("cannot read", &path))?;
-        let clip: Clip = serde_json::from_str(&line).map_err(|error| damaged(index + 2, &error))?;
+        let clip: PlannedClip = serde_json::from_str(&line).map_err(|error| damaged(index + 2, &error))?;
         let known = (clip.root as usize) < plan.roots.len()
             && clip
                 .calibration

@@ -14,5 +14,5 @@ mod units;
 
 pub use file::{PLAN_FILE, read_plan};
 pub use make::make_plan;
-pub use model::{Clip, InputSource, Node, NodeInput, PLAN_FORMAT, Plan, Source, WorkUnit};
+pub use model::{InputSource, Node, NodeInput, PLAN_FORMAT, Plan, PlannedClip, PlannedSource, WorkUnit};
 pub use units::{KeyMaker, UnitKey};

@@ -32,7 +32,7 @@ pub struct Plan {
     /// Folders that episodes lie in.
     pub roots: Vec<PathBuf>,
     /// Calibration files with their content.
-    pub calibrations: Vec<Source>,
+    pub calibrations: Vec<PlannedSource>,
     /// Folders with the predictions of outside methods, in the order of the manifest.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub predictions: Vec<PathBuf>,
@@ -41,7 +41,7 @@ pub struct Plan {
     pub latents: Option<PathBuf>,
     /// The clips, in the order of the manifest. One line each in the file.
     #[serde(skip)]
-    pub clips: Vec<Clip>,
+    pub clips: Vec<PlannedClip>,
 }
 
 /// One stage as it is done for every clip: a column of the plan.
@@ -91,12 +91,12 @@ pub enum InputSource {
     /// The output of another node, an index into [`Plan::nodes`].
     Node(usize),
     /// The same source for all clips.
-    Source(Source),
+    Source(PlannedSource),
 }
 
 /// A source with its content.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Source {
+pub struct PlannedSource {
     /// Where it lies.
     pub path: PathBuf,
     /// What is in it.
@@ -105,7 +105,7 @@ pub struct Source {
 
 /// One clip: a row of the plan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Clip {
+pub struct PlannedClip {
     /// Safe name, unique in the run also without regard to case.
     pub id: String,
     /// Id in its dataset.
@@ -133,7 +133,7 @@ pub struct Clip {
     pub ingest: Map<String, Value>,
 }
 
-impl Clip {
+impl PlannedClip {
     /// Content of the clip's folder in one of [`Plan::predictions`], where it has one.
     #[must_use]
     pub fn prediction(&self, index: u32) -> Option<ContentHash> {

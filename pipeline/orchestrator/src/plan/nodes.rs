@@ -8,7 +8,7 @@ use rogs_schemas::overlay;
 use rogs_schemas::protocol::{Description, InputDescription};
 use serde_json::{Map, Value};
 
-use super::model::{InputSource, Node, NodeInput, Source};
+use super::model::{InputSource, Node, NodeInput, PlannedSource};
 use crate::diagnose::{At, Text};
 use crate::error::{Error, Result, did_you_mean};
 use crate::manifest::{Manifest, Params, Prediction, Variant};
@@ -387,7 +387,7 @@ impl<'a> Builder<'a> {
             let error = self.text.error(at, format!("`{}` is not there", path.display()));
             return Err(error.with_hint("paths in a manifest are relative to the manifest's folder"));
         }
-        Ok(InputSource::Source(Source {
+        Ok(InputSource::Source(PlannedSource {
             path: path.to_owned(),
             content: self.sources.source(role, path)?,
         }))

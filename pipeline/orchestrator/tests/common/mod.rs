@@ -59,6 +59,13 @@ impl Workspace {
         std::fs::write(path, text).unwrap();
     }
 
+    /// Writes a program.
+    pub fn script(&self, name: &str, text: &str) {
+        self.write(name, text);
+        let mode = std::os::unix::fs::PermissionsExt::from_mode(0o755);
+        std::fs::set_permissions(self.path(name), mode).unwrap();
+    }
+
     pub fn episode(&self, name: &str, text: &str) {
         self.write(&format!("episodes/{name}.txt"), text);
     }

@@ -8,13 +8,13 @@ use rayon::prelude::*;
 
 use crate::backward::tile::Touched;
 use crate::backward::{Gradients, Pass, RenderGradient, Tape, chain};
+use crate::buffers::Pool;
 use crate::camera::{RasterCamera, RasterConfig};
 use crate::error::{Result, SplatError};
 use crate::gaussians::Gaussians;
 use crate::project::{CHUNK, for_each_view};
 use crate::render::{Render, Work, check_views};
 use crate::simd::dispatch;
-use crate::spare::Pool;
 
 /// Buffers for the rows of all tiles of a view, up to 256 MB each.
 static ROWS: Pool<f32> = Pool::new(1 << 26);

@@ -31,19 +31,19 @@ pub(super) const LEVEL: usize = 1;
 /// Side of a cell of the sweep, pixels.
 pub const CELL_PIXELS: usize = CELL.pow(LEVEL as u32 + 1);
 /// Channels of the levels of a pyramid that sees the image alone, at a half, a quarter and an eighth of its size.
-pub(super) const SEEING: [usize; 3] = [16, 32, 48];
+pub(super) const ENCODER_CHANNELS: [usize; 3] = [16, 32, 48];
 /// Features that are compared, at half the image's size.
 pub(super) const FEATURES: usize = rogs_kernels::sweep::FEATURES;
 /// Channels of the levels of the network that reads the similarities, from cells on, each half as large as the one before.
-pub(super) const READING: [usize; 3] = [64, 64, 72];
+pub(super) const DECODER_CHANNELS: [usize; 3] = [64, 64, 72];
 /// Numbers that sum up the probabilities of a cell: the expected logarithm of the depth, and how sure it is.
 const SUMMARIES: usize = 2;
 /// Logits of matches are this times the cosine of the features.
 const SHARPNESS: f64 = 16.0;
 /// What a depth that no other camera sees loses in its logit.
-const UNSEEN: f64 = 8.0;
+const UNSEEN_PENALTY: f64 = 8.0;
 /// How much of the cosine the logits of the depths have, next to what the network says.
-const HINT: f64 = 8.0;
+const COSINE_WEIGHT: f64 = 8.0;
 /// Similarities enter the network at this scale.
 const SIMILARITY_SCALE: f64 = 2.0;
 /// Keeps features of length zero finite.
@@ -51,16 +51,16 @@ const EPSILON: f64 = 1e-6;
 
 /// Channels that the network reads of a cell: similarities, shares of cameras, the image's level, the ray.
 #[must_use]
-pub(super) const fn read(config: &Stage1Config) -> usize {
-    (SWEEP_GROUPS + 1) * config.sweep_depths + SEEING[LEVEL] + rays::NUMBERS
+pub(super) const fn input_channels(config: &Stage1Config) -> usize {
+    (SWEEP_GROUPS + 1) * config.sweep_depths + ENCODER_CHANNELS[LEVEL] + rays::NUMBERS
 }
 
 /// Channels of what is said to the stem.
-pub(super) const SAID: usize = READING[0] + SUMMARIES;
+pub(super) const OUTPUT_CHANNELS: usize = DECODER_CHANNELS[0] + SUMMARIES;
 
 /// What a sweep finds. `D` depths, cells of [`CELL_PIXELS`] pixels.
 #[derive(Debug, Clone)]
-pub struct Found {
+pub struct SweptDepth {
     /// Logarithm of the probability of each depth by similarity alone. `[S, D, h, w]`
     pub matches: Tensor<4>,
     /// Logarithm of the probability of each depth. `[S, D, h, w]`
@@ -73,7 +73,7 @@ pub struct Found {
     accompanied: Tensor<4>,
 }
 
-impl Found {
+impl SweptDepth {
     /// The same for some frames.
     #[must_use]
     pub(super) fn frames_at(&self, start: usize, count: usize) -> Self {
@@ -105,11 +105,11 @@ impl<'a> Sweeping<'a> {
     ///
     /// # Errors
     /// When a tensor is missing or has another shape.
-    pub(super) fn find(&self, frames: &SourceFrames) -> Result<Option<Found>> {
+    pub(super) fn find(&self, frames: &SourceFrames) -> Result<Option<SweptDepth>> {
         if self.config.sweep_depths == 0 {
             return Ok(None);
         }
-        let seen = self.see(normalised(frames.images.clone()))?;
+        let seen = self.encode(normalised(frames.images.clone()))?;
         let [_, _, grid_rows, grid_columns] = seen[0].dims();
         let plan = Arc::new(plan::plan(frames, self.config.sweep_depths, [grid_rows, grid_columns]));
         if plan.partners.iter().all(Vec::is_empty) {
@@ -127,24 +127,25 @@ impl<'a> Sweeping<'a> {
             .reshape(shape);
         let visible = constant(plan.visible(), shape);
         let unseen = visible.clone().lower_equal_elem(0.0).float();
-        let matches = log_softmax(cosine.clone() * SHARPNESS - unseen * UNSEEN, 1);
+        let matches = log_softmax(cosine.clone() * SHARPNESS - unseen * UNSEEN_PENALTY, 1);
 
         let rays = rays::rays(frames, depths, [rows, columns]);
         let rays = constant(rays, [count, rays::NUMBERS, rows, columns]);
         let [_, image, _] = seen;
-        let hidden = self.read(Tensor::cat(
+        let hidden = self.decode(Tensor::cat(
             vec![similarity * SIMILARITY_SCALE, visible, image, rays],
             1,
         ))?;
-        let logits = Conv::load(&self.scope.child("depths"), [depths, READING[0]], 1, 1)?.forward(hidden.clone());
-        let likely = log_softmax(logits + cosine * HINT, 1);
+        let logits =
+            Conv::load(&self.scope.child("depths"), [depths, DECODER_CHANNELS[0]], 1, 1)?.forward(hidden.clone());
+        let likely = log_softmax(logits + cosine * COSINE_WEIGHT, 1);
         let logs = plan
             .depths_iu
             .iter()
             .map(|&depth| libm::logf(depth) - libm::logf(UNITS_PER_METRE as f32));
         let logs = constant(logs.collect(), [1, depths, 1, 1]);
         let accompanied = plan.partners.iter().map(|partners| f32::from(!partners.is_empty()));
-        Ok(Some(Found {
+        Ok(Some(SweptDepth {
             matches,
             log_depth_m: (likely.clone().exp() * logs).sum_dim(1),
             depths: likely,
@@ -157,18 +158,18 @@ impl<'a> Sweeping<'a> {
     ///
     /// # Errors
     /// As [`Self::find`].
-    pub(super) fn join(&self, own: Tensor<4>, found: &Found) -> Result<Tensor<4>> {
+    pub(super) fn join(&self, own: Tensor<4>, found: &SweptDepth) -> Result<Tensor<4>> {
         let certainty = found.depths.clone().exp().powf_scalar(2.0).sum_dim(1);
         let said = Tensor::cat(vec![found.hidden.clone(), found.log_depth_m.clone(), certainty], 1);
-        let said = Conv::load(&self.scope.child("join"), [own.dims()[1], SAID], 3, 1)?.forward(said);
+        let said = Conv::load(&self.scope.child("join"), [own.dims()[1], OUTPUT_CHANNELS], 3, 1)?.forward(said);
         Ok(own + said * found.accompanied.clone())
     }
 
     /// What the images show. `[S, 3, H, W] -> 3 x [S, c, h, w]`
-    fn see(&self, images: Tensor<4>) -> Result<[Tensor<4>; 3]> {
+    fn encode(&self, images: Tensor<4>) -> Result<[Tensor<4>; 3]> {
         let level = |level: usize, map: Tensor<4>| {
             let scope = self.scope.child(format_args!("levels.{level}"));
-            two_layers(&scope, cells(map), SEEING[level])
+            two_layers(&scope, cells(map), ENCODER_CHANNELS[level])
         };
         let first = level(0, images)?;
         let second = level(1, first.clone())?;
@@ -180,7 +181,7 @@ impl<'a> Sweeping<'a> {
     fn compared(&self, seen: &[Tensor<4>; 3]) -> Result<Tensor<4>> {
         let map = |level: usize| -> Result<Tensor<4>> {
             let scope = self.scope.child(format_args!("features.{level}"));
-            Ok(Conv::load(&scope, [FEATURES, SEEING[level]], 3, 1)?.forward(seen[level].clone()))
+            Ok(Conv::load(&scope, [FEATURES, ENCODER_CHANNELS[level]], 3, 1)?.forward(seen[level].clone()))
         };
         let map = map(0)? + resized_like(map(1)? + resized_like(map(2)?, &seen[1]), &seen[0]);
         // Less what all of an image has in common: brightness, and what is the same for every feature.
@@ -189,10 +190,14 @@ impl<'a> Sweeping<'a> {
         Ok(map / length)
     }
 
-    /// Down to a quarter of the cells' resolution and up again. `[S, c, h, w] -> [S, READING[0], h, w]`
-    fn read(&self, map: Tensor<4>) -> Result<Tensor<4>> {
+    /// Down to a quarter of the cells' resolution and up again. `[S, c, h, w] -> [S, DECODER_CHANNELS[0], h, w]`
+    fn decode(&self, map: Tensor<4>) -> Result<Tensor<4>> {
         let layers = |name: &str, level: usize, map: Tensor<4>| {
-            two_layers(&self.scope.child(format_args!("{name}.{level}")), map, READING[level])
+            two_layers(
+                &self.scope.child(format_args!("{name}.{level}")),
+                map,
+                DECODER_CHANNELS[level],
+            )
         };
         let down = |level: usize, map: &Tensor<4>| {
             let [_, _, rows, columns] = map.dims();

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use burn::tensor::Device;
 use rogs_needs::shared;
-use rogs_stage2::{Plane, RefinerConfig, TokenGrid};
+use rogs_stage2::{FeatureMap, RefinerConfig, TokenGrid};
 use rogs_tensors::parameters::Parameters;
 
 /// Tolerance of features and attributes, and of hidden states: |a - b| <= absolute + 1e-4 |b|.
@@ -81,13 +81,13 @@ impl Golden {
     }
 
     /// Views of an array `[views, channels, height, width]`.
-    pub(crate) fn images(&self, name: &str) -> Vec<Plane> {
+    pub(crate) fn images(&self, name: &str) -> Vec<FeatureMap> {
         let (shape, values) = &self.arrays[name];
         let [_, channels, height, width] = shape[..] else {
             panic!("not an image: `{name}`")
         };
         let area = height * width;
-        let view = |data: &[f32]| Plane {
+        let view = |data: &[f32]| FeatureMap {
             height,
             width,
             channels,
@@ -100,10 +100,10 @@ impl Golden {
     }
 
     /// Views of an array of tokens `[views * height * width, channels]`.
-    pub(crate) fn views(&self, name: &str, height: usize, width: usize) -> Vec<Plane> {
+    pub(crate) fn views(&self, name: &str, height: usize, width: usize) -> Vec<FeatureMap> {
         let (shape, values) = &self.arrays[name];
         let channels = shape[1];
-        let view = |data: &[f32]| Plane {
+        let view = |data: &[f32]| FeatureMap {
             height,
             width,
             channels,
@@ -230,7 +230,7 @@ pub(crate) fn small_config() -> RefinerConfig {
 }
 
 /// Maps of all views, one after the other.
-pub(crate) fn joined(views: &[Plane]) -> Vec<f32> {
+pub(crate) fn joined(views: &[FeatureMap]) -> Vec<f32> {
     views.iter().flat_map(|view| &view.data).copied().collect()
 }
 

@@ -5,7 +5,7 @@ use rogs_field::Correction;
 use rogs_schemas::records::refinement::ScaleResidual;
 use rogs_stage2::error_encoder::ColourLayout;
 use rogs_stage2::updater::{NeighbourBlock, Neighbours};
-use rogs_stage2::{ErrorEncoder, Plane, TokenGrid, Updater, nearest_neighbours};
+use rogs_stage2::{ErrorEncoder, FeatureMap, TokenGrid, Updater, nearest_neighbours};
 use rogs_tensors::parameters::{from_host, to_host};
 
 use super::{FEATURE, Golden, STATE};
@@ -67,7 +67,7 @@ pub(crate) fn released_loop(golden: &Golden, layout: ColourLayout, (rows, column
         .iter()
         .map(|image| encoder.feature_maps(image).unwrap())
         .collect();
-    let features: Vec<Plane> = maps.iter().map(|maps| maps.concatenated(rows, columns)).collect();
+    let features: Vec<FeatureMap> = maps.iter().map(|maps| maps.concatenated(rows, columns)).collect();
     golden.close(
         "obs_features",
         &super::joined(&features),
@@ -78,7 +78,7 @@ pub(crate) fn released_loop(golden: &Golden, layout: ColourLayout, (rows, column
     // The state: update_proj of cond_features, resized to the token grid.
     let weight = golden.array("w.encoder.update_proj.weight");
     let bias = golden.array("w.encoder.update_proj.bias");
-    let project = |view: &Plane| {
+    let project = |view: &FeatureMap| {
         let inputs = view.channels;
         let pixel = |pixel: &[f32]| -> Vec<f32> {
             (0..32)
@@ -86,7 +86,7 @@ pub(crate) fn released_loop(golden: &Golden, layout: ColourLayout, (rows, column
                 .collect()
         };
         let data = view.data.chunks_exact(inputs).flat_map(pixel).collect();
-        Plane {
+        FeatureMap {
             height: view.height,
             width: view.width,
             channels: 32,
@@ -94,7 +94,7 @@ pub(crate) fn released_loop(golden: &Golden, layout: ColourLayout, (rows, column
         }
         .resized(rows, columns)
     };
-    let states: Vec<Plane> = golden.images("in.cond_features").iter().map(project).collect();
+    let states: Vec<FeatureMap> = golden.images("in.cond_features").iter().map(project).collect();
     let mut state = super::joined(&states);
     golden.close("state0", &state, &super::joined(&golden.images("out.state0")), STATE);
 

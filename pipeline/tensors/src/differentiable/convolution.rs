@@ -6,7 +6,7 @@ use std::sync::Arc;
 use burn::tensor::Tensor;
 
 use super::node::{HostOperation, node};
-use rogs_kernels::{After, Conv3x3, Maps, Precision, weight_gradient};
+use rogs_kernels::{Activation, Conv3x3, Maps, Precision, weight_gradient};
 
 /// Taps of a kernel.
 const TAPS: usize = 9;
@@ -28,7 +28,7 @@ pub fn convolve(input: Tensor<4>, weight: Tensor<4>, bias: Tensor<1>, products: 
 impl HostOperation<3> for Maps {
     fn forward(&self, [input, weight, bias]: [&[f32]; 3]) -> Vec<f32> {
         let conv = Conv3x3::new(weight, bias, self.outputs, self.inputs, self.products);
-        conv.run(input, [self.height, self.width], false, After::Nothing, None)
+        conv.run(input, [self.height, self.width], false, Activation::Nothing, None)
     }
 
     fn backward(&self, gradient: &[f32], [input, weight, _]: [&[f32]; 3], wanted: [bool; 3]) -> [Option<Vec<f32>>; 3] {
@@ -40,7 +40,7 @@ impl HostOperation<3> for Maps {
                 self.outputs,
                 self.products,
             );
-            conv.run(gradient, [self.height, self.width], false, After::Nothing, None)
+            conv.run(gradient, [self.height, self.width], false, Activation::Nothing, None)
         });
         let of_weight = wanted[1].then(|| weight_gradient(gradient, input, *self));
         let of_bias = wanted[2].then(|| {

@@ -4,7 +4,7 @@ use std::sync::{Arc, OnceLock};
 
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Tensor, module};
-use rogs_kernels::{After, Conv3x3, Precision, TileSize, Winograd};
+use rogs_kernels::{Activation, Conv3x3, Precision, TileSize, Winograd};
 
 use super::relu;
 use crate::parameters::{Scope, from_host};
@@ -69,7 +69,7 @@ impl Conv {
     #[must_use]
     pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
         if self.has_kernel(&input) {
-            self.by_kernel(&input, false, After::Nothing, None)
+            self.by_kernel(&input, false, Activation::Nothing, None)
         } else {
             self.plain(input)
         }
@@ -79,7 +79,7 @@ impl Conv {
     #[must_use]
     pub fn forward_rectified(&self, input: Tensor<4>) -> Tensor<4> {
         if self.has_kernel(&input) {
-            self.by_kernel(&input, true, After::Relu, None)
+            self.by_kernel(&input, true, Activation::Relu, None)
         } else {
             relu(self.plain(relu(input)))
         }
@@ -90,7 +90,7 @@ impl Conv {
     pub fn forward_onto(&self, input: Tensor<4>, residual: Tensor<4>) -> Tensor<4> {
         if self.has_kernel(&input) && host::usable(&residual) {
             host::with_values(&residual, |residual| {
-                self.by_kernel(&input, false, After::Nothing, Some(residual))
+                self.by_kernel(&input, false, Activation::Nothing, Some(residual))
             })
         } else {
             self.plain(input) + relu(residual)
@@ -131,7 +131,7 @@ impl Conv {
     }
 
     /// Runs the kernel: by Winograd's algorithm where that pays, else directly.
-    fn by_kernel(&self, input: &Tensor<4>, rectify: bool, after: After, residual: Option<&[f32]>) -> Tensor<4> {
+    fn by_kernel(&self, input: &Tensor<4>, rectify: bool, after: Activation, residual: Option<&[f32]>) -> Tensor<4> {
         let [images, inputs, height, width] = input.dims();
         let (size, outputs) = ([height, width], self.weight.dims()[0]);
         let bias = || self.host_bias();

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use burn::tensor::{Device, Int, Tensor, TensorData};
 
 use rogs_kernels::sweep::{FEATURES, GROUPS};
-use rogs_kernels::{Sweep, Taps};
+use rogs_kernels::{BilinearTaps, Sweep};
 
 use crate::parameters::{from_host, to_host};
 use crate::{Result, differentiable, host};
@@ -74,7 +74,7 @@ struct Points {
 
 impl Points {
     /// The points from the `first` one on. `shape`: depths, points of a depth
-    fn new(taps: &Taps, first: usize, shape: [usize; 2], device: &Device) -> Self {
+    fn new(taps: &BilinearTaps, first: usize, shape: [usize; 2], device: &Device) -> Self {
         let (range, shape) = (first..first + shape[0] * shape[1], [shape[0], 1, shape[1]]);
         let read = |k: usize| {
             let places = TensorData::new(taps.places[k][range.clone()].to_vec(), shape);

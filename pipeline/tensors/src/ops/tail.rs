@@ -3,7 +3,7 @@
 use std::sync::{Arc, OnceLock};
 
 use burn::tensor::Tensor;
-use rogs_kernels::{After, Conv3x3, DenseTail as Kernel, Precision};
+use rogs_kernels::{Activation, Conv3x3, DenseTail as Kernel, Precision};
 
 use super::conv::Conv;
 use super::{relu, resize};
@@ -87,7 +87,7 @@ impl DenseTail {
         let first = host::with_values(&self.first.weight, new);
         let mut map = match positions {
             Some(positions) => host::with_values(&positions(), |positions| {
-                first.run(positions, size, false, After::Nothing, None)
+                first.run(positions, size, false, Activation::Nothing, None)
             }),
             None => vec![0.0; hidden * area],
         };

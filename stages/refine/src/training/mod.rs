@@ -46,52 +46,8 @@ pub struct TrainingOptions<'a> {
     pub perceptual: Option<Perceptual<'a>>,
 }
 
-/// The terms of the objective after one update, as numbers; see [`ObjectiveTerms`] for what they are.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct TermValues {
-    /// Mean absolute colour difference.
-    pub rendering: f64,
-    /// Mean squared colour difference.
-    pub rendering_squared: f64,
-    /// Mean perceptual distance.
-    pub perceptual: f64,
-    /// Mean relative depth difference.
-    pub depth: f64,
-    /// Robot position, metres.
-    pub robot: f64,
-    /// Rendered motion against tracks, internal units.
-    pub motion: f64,
-    /// Rendered motion against Stage 1, internal units.
-    pub preservation: f64,
-    /// Missing opacity of source views.
-    pub coverage: f64,
-    /// Missing opacity of right views.
-    pub coverage_right: f64,
-    /// Weighted sum.
-    pub total: f64,
-}
-
-impl TermValues {
-    fn of(terms: &ObjectiveTerms) -> StageResult<Self> {
-        let number = |tensor: &Tensor<1>| {
-            to_host(tensor.clone())
-                .map(|values| f64::from(values[0]))
-                .map_err(internal)
-        };
-        Ok(Self {
-            rendering: number(&terms.rendering)?,
-            rendering_squared: number(&terms.rendering_squared)?,
-            perceptual: number(&terms.perceptual)?,
-            depth: number(&terms.depth)?,
-            robot: number(&terms.robot)?,
-            motion: number(&terms.motion)?,
-            preservation: number(&terms.preservation)?,
-            coverage: number(&terms.coverage)?,
-            coverage_right: number(&terms.coverage_right)?,
-            total: number(&terms.total)?,
-        })
-    }
-}
+/// The terms of the objective after one update, as numbers.
+pub type TermValues = ObjectiveTerms<f64>;
 
 /// What one training step on one clip gives.
 pub struct TrainingStep {

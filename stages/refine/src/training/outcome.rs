@@ -44,7 +44,8 @@ pub(super) fn correction_gradient(
     let robot = robot_positions(field, &targets.times, correction, device);
     let outcome = UpdateOutcome { views, robot, motion };
     let terms = update_objective(&outcome, &options.weights, options.perceptual);
-    let values = TermValues::of(&terms)?;
+    let number = |tensor: Tensor<1>| to_host(tensor).map(|values| f64::from(values[0])).map_err(internal);
+    let values = terms.clone().try_map(number)?;
     let gradients = terms.total.backward();
 
     let mut total = vec![0.0; field.len() * RESIDUAL_CHANNELS];

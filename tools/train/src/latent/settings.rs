@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use rogs_lift::Numbers;
+use rogs_lift::ProductPrecision;
 use serde::{Deserialize, Serialize};
 
 use crate::config;
@@ -38,9 +38,9 @@ pub struct LatentTraining {
     /// Runs the aggregator twice, the second time a pair at a time, instead of keeping what all pairs compute: less memory,
     /// more time. Only where a loss looks behind the tokens.
     pub gradient_checkpointing: bool,
-    /// Numbers of the products of linear layers and 3x3 convolutions, forwards and backwards: `f32`, or `bf16` with sums in
+    /// Precision of the products of linear layers and 3x3 convolutions, forwards and backwards: `f32`, or `bf16` with sums in
     /// f32. Parameters, moments and everything else stay f32. `bf16` is for the CPU.
-    pub precision: Numbers,
+    pub precision: ProductPrecision,
     /// Learning rate.
     pub rate: f64,
     /// Updates over which the rate rises; afterwards it stays.
@@ -86,7 +86,7 @@ impl Default for LatentTraining {
             evaluation_clips: 4,
             clips_per_step: 1,
             gradient_checkpointing: false,
-            precision: Numbers::F32,
+            precision: ProductPrecision::F32,
             rate: 1e-4,
             warmup: 500,
             betas: [0.9, 0.95],

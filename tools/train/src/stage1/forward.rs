@@ -6,7 +6,7 @@ use rogs_field::MotionGates;
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 use rogs_schemas::units::UNITS_PER_METRE;
 use rogs_stage1::decode::{DEPTH_RANGE_IU, activate_attributes, gate_attributes};
-use rogs_stage1::sweep::Found;
+use rogs_stage1::sweep::SweptDepth;
 use rogs_stage1::{Attention, Encoded, HeadKind, SourceFrames, Stage1};
 use rogs_tensors::device;
 use rogs_tensors::parameters::from_host;
@@ -23,7 +23,7 @@ pub struct Lifted {
     /// The head's depth within its range, internal units. `[S, H, W]`
     pub depth: Tensor<3>,
     /// What the stem's sweep found, in a network that has one.
-    pub sweep: Option<Swept>,
+    pub sweep: Option<SweepTerms>,
     /// Positions after mesh anchoring, internal units. `[S, 3, H, W]`
     pub position: Tensor<4>,
     /// One a query; none when only the depth head ran.
@@ -41,12 +41,12 @@ pub struct LiftedQuery {
 }
 
 /// What a plane sweep found, as far as losses and scores read it.
-pub struct Swept {
-    /// As [`Found::matches`]. `[S, D, h, w]`
+pub struct SweepTerms {
+    /// As [`SweptDepth::matches`]. `[S, D, h, w]`
     pub matches: Tensor<4>,
-    /// As [`Found::depths`]. `[S, D, h, w]`
+    /// As [`SweptDepth::depths`]. `[S, D, h, w]`
     pub depths: Tensor<4>,
-    /// As [`Found::log_depth_m`]. `[S, 1, h, w]`
+    /// As [`SweptDepth::log_depth_m`]. `[S, 1, h, w]`
     pub log_depth_m: Tensor<4>,
 }
 
@@ -82,7 +82,7 @@ impl Lifted {
     }
 }
 
-impl Swept {
+impl SweepTerms {
     /// Copies of these outputs.
     pub(super) fn copied(&self, device_copies: &mut DeviceCopies) -> Result<Self> {
         Ok(Self {
@@ -93,8 +93,8 @@ impl Swept {
     }
 }
 
-impl From<&Found> for Swept {
-    fn from(found: &Found) -> Self {
+impl From<&SweptDepth> for SweepTerms {
+    fn from(found: &SweptDepth) -> Self {
         Self {
             matches: found.matches.clone(),
             depths: found.depths.clone(),
@@ -165,7 +165,7 @@ pub fn decode(network: &Stage1, sample: &Sample, encoded: &Encoded, conditioned:
             .local
             .as_ref()
             .and_then(|local| local.sweep.as_ref())
-            .map(Swept::from),
+            .map(SweepTerms::from),
         position,
         queries,
     })

@@ -6,7 +6,7 @@ use rogs_schemas::units::UNITS_PER_METRE;
 use rogs_stage1::sweep::{CELL_PIXELS, place};
 use rogs_tensors::parameters::{from_host, to_host};
 
-use super::forward::Swept;
+use super::forward::SweepTerms;
 use super::terms::{EPSILON, Sum};
 use crate::config::LossWeights;
 use crate::error::Result;
@@ -16,7 +16,7 @@ use crate::sample::Sample;
 const SAME_SURFACE: f64 = 0.05;
 
 /// Adds the losses of what the sweep found in a clip.
-pub(super) fn add_terms(sum: &mut Sum, sample: &Sample, found: &Swept, weights: &LossWeights) -> Result<()> {
+pub(super) fn add_terms(sum: &mut Sum, sample: &Sample, found: &SweepTerms, weights: &LossWeights) -> Result<()> {
     let (shape, device) = (found.depths.dims(), found.depths.device());
     let [views, _, rows, columns] = shape;
     let target = Target::of(sample, shape);
@@ -40,7 +40,7 @@ pub(super) fn add_terms(sum: &mut Sum, sample: &Sample, found: &Swept, weights: 
 }
 
 /// Absolute errors of the sweep's expected depth as shares of the reference, of all cells that have one.
-pub(super) fn relative_errors(sample: &Sample, found: &Swept) -> Result<Vec<f64>> {
+pub(super) fn relative_errors(sample: &Sample, found: &SweepTerms) -> Result<Vec<f64>> {
     let target = Target::of(sample, found.depths.dims());
     let expected = to_host(found.log_depth_m.clone())?;
     let cells = expected.iter().zip(&target.log_depth_m).zip(&target.known);

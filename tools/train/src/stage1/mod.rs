@@ -30,7 +30,7 @@ use crate::run::{Evaluation, Trainer, UpdateReport};
 use crate::sample::Sample;
 use crate::stream::{Batch, Stream, batches};
 use evaluate::evaluate;
-use forward::{Heads, Swept, lift, source_frames};
+use forward::{Heads, SweepTerms, lift, source_frames};
 use objective::{objective, of_sweep};
 use terms::{Losses, Objective};
 
@@ -93,7 +93,7 @@ impl Stage1Trainer {
         };
         let (objective, gradients) = if settings.losses.only_sweep() {
             let found = network.sweep(&source_frames(clip, network.parameters.device()))?;
-            let swept = found.as_ref().map(Swept::from);
+            let swept = found.as_ref().map(SweepTerms::from);
             differentiated(&network, of_sweep(clip, swept.as_ref(), &settings.losses)?)?
         } else if settings.gradient_checkpointing {
             checkpointed::differentiate(&network, clip, (conditioned, heads), losses, &mut random)?

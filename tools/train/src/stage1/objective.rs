@@ -6,7 +6,7 @@ use rogs_stage1::losses;
 use rogs_tensors::device;
 use rogs_tensors::parameters::from_host;
 
-use super::forward::{Lifted, Swept};
+use super::forward::{Lifted, SweepTerms};
 use super::matching;
 use super::renders;
 use super::terms::{EPSILON, Losses, Objective, Sum};
@@ -131,7 +131,7 @@ fn of_outputs(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &mut
 ///
 /// # Errors
 /// When it found nothing to compare, or the device fails.
-pub fn of_sweep(sample: &Sample, found: Option<&Swept>, weights: &LossWeights) -> Result<Objective> {
+pub fn of_sweep(sample: &Sample, found: Option<&SweepTerms>, weights: &LossWeights) -> Result<Objective> {
     let found = found.ok_or_else(|| {
         let seed = sample.seed;
         rogs_tensors::Error::BadInput(format!("no two cameras of the clip of seed {seed} see the same moment"))

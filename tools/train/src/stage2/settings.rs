@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use rogs_lift::Numbers;
+use rogs_lift::ProductPrecision;
 use rogs_stage2::RefinerConfig;
 use rogs_stage2::objective::ObjectiveWeights;
 use serde::{Deserialize, Serialize};
@@ -35,9 +35,9 @@ pub struct Stage2Training {
     pub evaluation_clips: u64,
     /// Fewest and most recurrent updates of a clip.
     pub recurrence: [u32; 2],
-    /// Numbers of the products of linear layers and 3x3 convolutions, forwards and backwards: `f32`, or `bf16` with sums in
+    /// Precision of the products of linear layers and 3x3 convolutions, forwards and backwards: `f32`, or `bf16` with sums in
     /// f32. Parameters, moments and everything else stay f32. `bf16` is for the CPU.
-    pub precision: Numbers,
+    pub precision: ProductPrecision,
     /// Where clips come from.
     pub data: DataSettings,
     /// Peak rate of the updater.
@@ -67,7 +67,7 @@ impl Default for Stage2Training {
             evaluate_every: 200,
             evaluation_clips: 4,
             recurrence: [1, 4],
-            precision: Numbers::F32,
+            precision: ProductPrecision::F32,
             data: DataSettings {
                 queries: 3,
                 images_per_step: 15,

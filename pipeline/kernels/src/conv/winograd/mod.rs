@@ -23,7 +23,7 @@ use rayon::prelude::*;
 use self::tiles::{Inputs, Map, Outputs, Window, Write};
 use self::tiling::{Four, Tiling, Two};
 use self::weights::{lines, transformed};
-use super::After;
+use super::Activation;
 use crate::product::product;
 use crate::tile::{COLUMNS, Line, resized};
 use crate::transpose::transposed;
@@ -93,7 +93,7 @@ impl Winograd {
         input: &[f32],
         size: [usize; 2],
         rectify: bool,
-        after: After,
+        after: Activation,
         residual: Option<&[f32]>,
     ) -> Vec<f32> {
         let area = size[0] * size[1];
@@ -115,7 +115,7 @@ impl Winograd {
     }
 
     /// The sums of an image as planes, and what comes after. `[area, out] -> [out, area]`
-    fn finish(&self, sums: &[f32], result: &mut [f32], area: usize, after: After, residual: Option<&[f32]>) {
+    fn finish(&self, sums: &[f32], result: &mut [f32], area: usize, after: Activation, residual: Option<&[f32]>) {
         const PLANES: usize = 16;
         result
             .par_chunks_mut(PLANES * area)
@@ -127,7 +127,7 @@ impl Winograd {
                         planes[channel * area + pixel] = *sum;
                     }
                 }
-                if after == After::Relu {
+                if after == Activation::Relu {
                     planes.iter_mut().for_each(|value| *value = value.max(0.0));
                 }
                 if let Some(residual) = residual {

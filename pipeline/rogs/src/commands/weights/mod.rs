@@ -37,8 +37,8 @@ enum What {
         #[arg(long, default_value = "full")]
         configuration: String,
         /// How numbers are stored.
-        #[arg(long, value_enum, default_value_t = Numbers::F32)]
-        numbers: Numbers,
+        #[arg(long, value_enum, default_value_t = NumberFormat::F32)]
+        numbers: NumberFormat,
         /// Where the file comes from, for reports.
         #[arg(long, default_value = "")]
         provenance: String,
@@ -61,8 +61,8 @@ enum What {
         #[arg(long, default_value_t = 73)]
         seed: u64,
         /// How numbers are stored.
-        #[arg(long, value_enum, default_value_t = Numbers::F32)]
-        numbers: Numbers,
+        #[arg(long, value_enum, default_value_t = NumberFormat::F32)]
+        numbers: NumberFormat,
         /// Print one JSON value: what was written.
         #[arg(long)]
         json: bool,
@@ -75,8 +75,8 @@ enum What {
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
         /// How numbers are stored.
-        #[arg(long, value_enum, default_value_t = Numbers::F32)]
-        numbers: Numbers,
+        #[arg(long, value_enum, default_value_t = NumberFormat::F32)]
+        numbers: NumberFormat,
         /// Print one JSON value: what was written.
         #[arg(long)]
         json: bool,
@@ -93,8 +93,8 @@ enum What {
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
         /// How numbers are stored.
-        #[arg(long, value_enum, default_value_t = Numbers::F32)]
-        numbers: Numbers,
+        #[arg(long, value_enum, default_value_t = NumberFormat::F32)]
+        numbers: NumberFormat,
         /// Where the weights come from, for reports; by default what was averaged.
         #[arg(long)]
         provenance: Option<String>,
@@ -133,18 +133,18 @@ enum What {
 
 /// Number formats of a checkpoint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Numbers {
+enum NumberFormat {
     F32,
     Bf16,
     F16,
 }
 
-impl From<Numbers> for ElementType {
-    fn from(numbers: Numbers) -> Self {
+impl From<NumberFormat> for ElementType {
+    fn from(numbers: NumberFormat) -> Self {
         match numbers {
-            Numbers::F32 => Self::F32,
-            Numbers::Bf16 => Self::BF16,
-            Numbers::F16 => Self::F16,
+            NumberFormat::F32 => Self::F32,
+            NumberFormat::Bf16 => Self::BF16,
+            NumberFormat::F16 => Self::F16,
         }
     }
 }

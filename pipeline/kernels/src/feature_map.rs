@@ -6,7 +6,7 @@ use crate::Axis;
 
 /// A feature map. `[height, width, channels]`
 #[derive(Debug, Clone, PartialEq)]
-pub struct Plane {
+pub struct FeatureMap {
     /// Rows.
     pub height: usize,
     /// Columns.
@@ -17,7 +17,7 @@ pub struct Plane {
     pub data: Vec<f32>,
 }
 
-impl Plane {
+impl FeatureMap {
     /// A map of zeros.
     #[must_use]
     pub fn zeros(height: usize, width: usize, channels: usize) -> Self {
@@ -47,7 +47,7 @@ impl Plane {
 
 /// Adds `map`, resized bilinearly (corners aligned) to `height x width`, to the channels from `offset` on of rows with
 /// `stride` channels each. `out` is `[height * width, stride]`
-pub fn add_resized(map: &Plane, height: usize, width: usize, out: &mut [f32], stride: usize, offset: usize) {
+pub fn add_resized(map: &FeatureMap, height: usize, width: usize, out: &mut [f32], stride: usize, offset: usize) {
     let channels = map.channels;
     let (rows, columns) = (Axis::new(map.height, height), Axis::new(map.width, width));
     out.par_chunks_mut(width * stride).enumerate().for_each(|(row, out)| {
@@ -85,7 +85,7 @@ mod tests {
     #[test]
     fn resizing_keeps_corners_and_linear_ramps() {
         let data = (0..6).flat_map(|i| [i as f32, -(i as f32)]).collect();
-        let map = Plane {
+        let map = FeatureMap {
             height: 2,
             width: 3,
             channels: 2,

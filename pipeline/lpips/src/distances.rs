@@ -1,4 +1,4 @@
-//! What is read of the maps: features divided by their length, weighted distances.
+//! Features divided by their length, and the weighted distances of them.
 
 use rayon::prelude::*;
 use rogs_kernels::vectorised;
