@@ -1,42 +1,29 @@
 //! The conditioning maps against `project_fk_conditioning` of the Stage-1 reference vectors.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
+#[path = "../../../tests/support/tensors.rs"]
+mod tensors;
+
+use std::path::Path;
+
 use rogs_conditioning::{Params, build};
 use rogs_geometry::{Base, Camera, Link, Pose, Recon};
 use rogs_robot_maps::{SupportRule, valid_support};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates, SourceView};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::{Intrinsics, RigidPose};
-use safetensors::SafeTensors;
+use tensors::Tensors;
 
 const H: usize = 28;
 const W: usize = 42;
 const AREA: usize = H * W;
 
-fn golden() -> Vec<u8> {
+fn golden() -> Tensors {
     let path = concat!(
         env!("CARGO_MANIFEST_DIR"),
         "/tests/golden/project_fk_conditioning.safetensors"
     );
-    std::fs::read(path).unwrap()
-}
-
-fn floats(file: &SafeTensors<'_>, name: &str) -> Vec<f32> {
-    let (values, _) = file.tensor(name).unwrap().data().as_chunks::<4>();
-    values.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
-}
-
-fn ints(file: &SafeTensors<'_>, name: &str) -> Vec<i64> {
-    let tensor = file.tensor(name).unwrap();
-    let size = tensor.data().len() / tensor.shape().iter().product::<usize>();
-    let word = |bytes: &[u8]| {
-        if size == 4 {
-            i64::from(i32::from_le_bytes(bytes.try_into().unwrap()))
-        } else {
-            i64::from_le_bytes(bytes.try_into().unwrap())
-        }
-    };
-    tensor.data().chunks_exact(size).map(word).collect()
+    Tensors::read(Path::new(path))
 }
 
 /// The row-major 4x4 matrix at `index` of a stack, its translation divided by `scale`.
@@ -48,18 +35,18 @@ fn pose<A: rogs_geometry::Frame, B: rogs_geometry::Frame>(stack: &[f32], index: 
 }
 
 /// The golden scene as records: two cameras at two source times (frames 0 and 1), the query time is frame 2.
-fn records(file: &SafeTensors<'_>) -> (Clip, RobotMaps) {
-    let times = ints(file, "time_of_frame");
-    let base = floats(file, "C_base_m");
-    let cameras: Vec<Pose<Base, Camera>> = (0..4).map(|index| pose(&base, index, 1.0)).collect();
+fn records(file: &Tensors) -> (Clip, RobotMaps) {
+    let times = file.values("time_of_frame");
+    let base = file.values("C_base_m");
+    let cameras: Vec<Pose<Base, Camera>> = (0..4).map(|index| pose(base, index, 1.0)).collect();
     let recon_from_base: Pose<Recon, Base> = cameras[0].inverse().relabelled();
-    let source = floats(file, "T_source_internal");
-    let query = floats(file, "T_query_internal");
+    let source = file.values("T_source_internal");
+    let query = file.values("T_query_internal");
     let recon_from_link = |frame: usize, link: usize| -> Pose<Recon, Link> {
         if frame < 2 {
-            pose(&source, frame * 3 + link, 3.5)
+            pose(source, frame * 3 + link, 3.5)
         } else {
-            pose(&query, link, 3.5)
+            pose(query, link, 3.5)
         }
     };
     let base_from_link = (0..3).flat_map(|frame| (0..3).map(move |link| (frame, link)));
@@ -67,7 +54,7 @@ fn records(file: &SafeTensors<'_>) -> (Clip, RobotMaps) {
         .map(|(frame, link)| (recon_from_base.inverse() * recon_from_link(frame, link)).to_rigid())
         .collect();
     // Every golden frame is a camera of its own here, so that any order of frames fits the record.
-    let fxfycxcy = floats(file, "fxfycxcy");
+    let fxfycxcy = file.values("fxfycxcy");
     let clip_camera = |index: usize| {
         let k: Vec<f64> = fxfycxcy[index * 4..index * 4 + 4]
             .iter()
@@ -112,15 +99,15 @@ fn records(file: &SafeTensors<'_>) -> (Clip, RobotMaps) {
         tracks: None,
     };
     let (depth, link, support) = (
-        floats(file, "mesh_depth_m"),
-        ints(file, "link_id"),
-        floats(file, "support"),
+        file.values("mesh_depth_m"),
+        file.values("link_id"),
+        file.values("support"),
     );
     let map = |index: usize, frame: usize| {
         let range = index * AREA..(index + 1) * AREA;
         let link = link[range.clone()]
             .iter()
-            .map(|&id| if (0..3).contains(&id) { id as u8 } else { NO_LINK });
+            .map(|&id| if (0.0..3.0).contains(&id) { id as u8 } else { NO_LINK });
         RobotMap {
             camera: index as u32,
             frame: frame as u32,
@@ -130,7 +117,7 @@ fn records(file: &SafeTensors<'_>) -> (Clip, RobotMaps) {
         }
     };
     // The file has the tool in the reconstruction frame, the record in the base frame.
-    let tool = floats(file, "tool_centre_m");
+    let tool = file.values("tool_centre_m");
     let tool_of = |frame: usize| {
         let in_recon = glam::Vec3::from_slice(&tool[frame.min(1) * 3..]).as_dvec3();
         recon_from_base.inverse().point(in_recon).to_array()
@@ -155,12 +142,11 @@ fn records(file: &SafeTensors<'_>) -> (Clip, RobotMaps) {
 
 #[test]
 fn kappa_agrees_channel_by_channel() {
-    let bytes = golden();
-    let file = SafeTensors::deserialize(&bytes).unwrap();
+    let file = golden();
     let (clip, robot) = records(&file);
     let conditioning = build(&clip, &robot, &Params::default()).unwrap();
-    let times = ints(&file, "time_of_frame");
-    let kappa = floats(&file, "kappa");
+    let times = file.values("time_of_frame");
+    let kappa = file.values("kappa");
     let query = conditioning.query_frames.iter().position(|&frame| frame == 2).unwrap();
     for index in 0..4usize {
         let wanted = SourceView {
@@ -186,10 +172,9 @@ fn kappa_agrees_channel_by_channel() {
 
 #[test]
 fn the_frame_convention_is_that_of_the_golden_poses() {
-    let bytes = golden();
-    let file = SafeTensors::deserialize(&bytes).unwrap();
+    let file = golden();
     let (_, robot) = records(&file);
-    let golden = floats(&file, "C_internal");
+    let golden = file.values("C_internal");
     let recon_from_base: Pose<Recon, Base> = Pose::from_rigid(&robot.recon_from_base).unwrap();
     for index in 0..4 {
         let base_from_camera: Pose<Base, Camera> = Pose::from_rigid(&robot.base_from_camera[index * 3]).unwrap();
@@ -203,12 +188,11 @@ fn the_frame_convention_is_that_of_the_golden_poses() {
 
 #[test]
 fn support_is_the_eroded_coverage() {
-    let bytes = golden();
-    let file = SafeTensors::deserialize(&bytes).unwrap();
+    let file = golden();
     let (raw, support, depth) = (
-        floats(&file, "raw_support"),
-        floats(&file, "support"),
-        floats(&file, "mesh_depth_m"),
+        file.values("raw_support"),
+        file.values("support"),
+        file.values("mesh_depth_m"),
     );
     let rule = SupportRule {
         link_boundary_m: f32::INFINITY,
@@ -228,8 +212,7 @@ fn support_is_the_eroded_coverage() {
 
 #[test]
 fn a_link_that_stays_gives_zero_displacement() {
-    let bytes = golden();
-    let file = SafeTensors::deserialize(&bytes).unwrap();
+    let file = golden();
     let (clip, mut robot) = records(&file);
     let still: Vec<RigidPose> = robot.base_from_link[..3].to_vec();
     robot.base_from_link = still.repeat(3);
@@ -245,8 +228,7 @@ fn a_link_that_stays_gives_zero_displacement() {
 
 #[test]
 fn records_of_different_clips_are_refused() {
-    let bytes = golden();
-    let file = SafeTensors::deserialize(&bytes).unwrap();
+    let file = golden();
     let (clip, mut robot) = records(&file);
     robot.maps.remove(0);
     assert!(

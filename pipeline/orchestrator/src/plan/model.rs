@@ -151,12 +151,6 @@ pub struct WorkUnit {
 }
 
 impl Plan {
-    /// Number of units.
-    #[must_use]
-    pub fn unit_count(&self) -> usize {
-        self.clips.len() * self.nodes.len()
-    }
-
     /// Folder of a clip.
     #[must_use]
     pub fn clip_folder(&self, clip: usize) -> PathBuf {

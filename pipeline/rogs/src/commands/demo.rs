@@ -52,7 +52,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         args.episodes,
         args.out.display()
     ));
-    let (_, manifest) = synth::make(&args.out, "demo", args.episodes, args.seed, FRAMES, SIZE)?;
+    let (_, manifest) = synth::make(
+        &args.out,
+        "demo",
+        args.episodes,
+        args.seed,
+        &synth::config(FRAMES, SIZE),
+    )?;
     let mut prepared = args.machine.prepare(&manifest)?;
     let outcome = execute(&mut prepared, true)?;
     let options = TableOptions {

@@ -37,6 +37,9 @@ pub(crate) struct Args {
     /// Size of all images, WIDTHxHEIGHT; clips are lifted at this size, so both must be multiples of 14.
     #[arg(long, default_value = "280x154", value_parser = parse_size)]
     size: [u32; 2],
+    /// Errors of the recorded extrinsics: standard deviations in metres and radians.
+    #[arg(long, value_names = ["M", "RAD"], num_args = 2)]
+    calibration_noise: Option<Vec<f64>>,
     /// Print one JSON value.
     #[arg(long)]
     json: bool,
@@ -54,7 +57,12 @@ fn parse_size(text: &str) -> Result<[u32; 2], String> {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    let (summary, manifest) = make(&args.out, "synth", args.episodes, args.seed, args.frames, args.size)?;
+    let noise = args.calibration_noise.as_deref();
+    let config = SynthConfig {
+        calibration_noise: noise.map(|values| [values[0], values[1]]),
+        ..config(args.frames, args.size)
+    };
+    let (summary, manifest) = make(&args.out, "synth", args.episodes, args.seed, &config)?;
     if args.json {
         output::json(&serde_json::json!({ "dataset": summary, "manifest": manifest }))?;
     } else {
@@ -69,25 +77,28 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes a dataset, the built-in weights and a manifest; all are kept when they are there.
-pub(crate) fn make(
-    folder: &Path,
-    name: &str,
-    episodes: u32,
-    seed: u64,
-    frames: u32,
-    size: [u32; 2],
-) -> anyhow::Result<(DatasetSummary, PathBuf)> {
-    let config = SynthConfig {
+/// Episodes of so many frames, all images of one size.
+pub(crate) fn config(frames: u32, size: [u32; 2]) -> SynthConfig {
+    SynthConfig {
         frames,
         resolution: Resolution {
             wrist: size,
             external: size,
         },
         ..SynthConfig::default()
-    };
+    }
+}
+
+/// Writes a dataset, the built-in weights and a manifest; all are kept when they are there.
+pub(crate) fn make(
+    folder: &Path,
+    name: &str,
+    episodes: u32,
+    seed: u64,
+    config: &SynthConfig,
+) -> anyhow::Result<(DatasetSummary, PathBuf)> {
     let done = |path: &Path| output::note(&format!("episode {}", path.display()));
-    let summary = write_dataset_with(folder, episodes, seed, &config, &done)?;
+    let summary = write_dataset_with(folder, episodes, seed, config, &done)?;
     let manifest = folder.join(MANIFEST_NAME);
     if !manifest.exists() {
         for (weights, bytes) in [
@@ -96,7 +107,7 @@ pub(crate) fn make(
         ] {
             rogs_files::write_bytes(&folder.join(weights), bytes)?;
         }
-        let text = manifest_text(folder, name, size)?;
+        let text = manifest_text(folder, name, config.resolution.wrist)?;
         rogs_files::write_bytes(&manifest, text.as_bytes())?;
     }
     Ok((summary, manifest))

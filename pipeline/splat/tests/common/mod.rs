@@ -2,18 +2,20 @@
 
 #![allow(dead_code, unreachable_pub, missing_docs)]
 
-use std::collections::HashMap;
-use std::path::PathBuf;
+#[path = "../../../../tests/support/tensors.rs"]
+mod tensors;
+
+use std::path::{Path, PathBuf};
 
 use rogs_needs::shared;
 use rogs_splat::{Colour, Gaussians, Mode, RasterCamera, RasterConfig};
+use tensors::Tensors;
 
 /// A golden file in memory.
 pub struct Golden {
     pub name: &'static str,
     pub stress: bool,
-    tensors: HashMap<String, Vec<f32>>,
-    metadata: HashMap<String, String>,
+    tensors: Tensors,
 }
 
 /// The golden files that lie beside the tests.
@@ -39,39 +41,21 @@ pub fn more_goldens() -> Vec<Golden> {
 }
 
 impl Golden {
-    fn read(name: &'static str, stress: bool, path: &std::path::Path) -> Self {
-        let bytes = std::fs::read(path).unwrap();
-        let (_, header) = safetensors::SafeTensors::read_metadata(&bytes).unwrap();
-        let metadata = header.metadata().clone().unwrap();
-        let tensors = safetensors::SafeTensors::deserialize(&bytes).unwrap();
-        let tensors = tensors
-            .iter()
-            .map(|(key, view)| {
-                let values = view
-                    .data()
-                    .chunks_exact(4)
-                    .map(|b| f32::from_le_bytes(b.try_into().unwrap()));
-                (key.to_owned(), values.collect())
-            })
-            .collect();
-        Self {
-            name,
-            stress,
-            tensors,
-            metadata: metadata.into_iter().collect(),
-        }
+    fn read(name: &'static str, stress: bool, path: &Path) -> Self {
+        let tensors = Tensors::read(path);
+        Self { name, stress, tensors }
     }
 
     pub fn has(&self, key: &str) -> bool {
-        self.tensors.contains_key(key)
+        self.tensors.has(key)
     }
 
     pub fn get(&self, key: &str) -> &[f32] {
-        &self.tensors[key]
+        self.tensors.values(key)
     }
 
     fn number(&self, key: &str) -> f32 {
-        self.metadata[key].parse().unwrap()
+        self.tensors.metadata[key].parse().unwrap()
     }
 
     pub fn width(&self) -> usize {
@@ -148,7 +132,7 @@ impl Golden {
             [0.0; 3]
         };
         RasterConfig {
-            mode: if self.metadata["antialiased"] == "true" {
+            mode: if self.tensors.metadata["antialiased"] == "true" {
                 Mode::Antialiased
             } else {
                 Mode::Classic

@@ -2,8 +2,9 @@
 #![allow(dead_code, unreachable_pub)]
 
 pub mod network;
+#[path = "../../../../tests/support/tensors.rs"]
+mod tensors;
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use burn::tensor::{Device, Tensor, TensorData};
@@ -11,41 +12,35 @@ use rogs_geometry::Pose;
 use rogs_needs::shared;
 use rogs_stage1::{NetworkCamera, Stage1, Stage1Config};
 use rogs_tensors::parameters::{Parameters, to_host};
-use safetensors::{Dtype, SafeTensors};
+use tensors::Tensors;
 
 /// The tensors of one golden file.
-pub struct Golden(BTreeMap<String, (Vec<usize>, Vec<f32>)>);
+pub struct Golden(Tensors);
 
 impl Golden {
     /// Opens a file of the repository, or of the reference data where it is too large for that.
     pub fn open(name: &str) -> Self {
         let own = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/{name}.safetensors"));
-        let path = match own.exists() {
+        Self(Tensors::read(&match own.exists() {
             true => own,
             false => shared!("golden/stage1").join(format!("{name}.safetensors")),
-        };
-        let bytes = std::fs::read(&path).unwrap_or_else(|error| panic!("`{}`: {error}", path.display()));
-        let file = SafeTensors::deserialize(&bytes).unwrap();
-        let read = |(name, view): (String, safetensors::tensor::TensorView<'_>)| {
-            (name, (view.shape().to_vec(), values(&view)))
-        };
-        Self(file.tensors().into_iter().map(read).collect())
+        }))
     }
 
     pub fn names(&self) -> impl Iterator<Item = &str> {
-        self.0.keys().map(String::as_str)
+        self.0.names()
     }
 
     pub fn has(&self, name: &str) -> bool {
-        self.0.contains_key(name)
+        self.0.has(name)
     }
 
     pub fn shape(&self, name: &str) -> &[usize] {
-        &self.0[name].0
+        self.0.shape(name)
     }
 
     pub fn values(&self, name: &str) -> &[f32] {
-        &self.0.get(name).unwrap_or_else(|| panic!("no tensor {name}")).1
+        self.0.values(name)
     }
 
     pub fn scalar(&self, name: &str) -> f32 {
@@ -84,25 +79,6 @@ impl Golden {
                 focal_centre,
             })
             .collect()
-    }
-}
-
-fn values(view: &safetensors::tensor::TensorView<'_>) -> Vec<f32> {
-    let data = view.data();
-    match view.dtype() {
-        Dtype::F32 => data
-            .chunks_exact(4)
-            .map(|b| f32::from_le_bytes(b.try_into().unwrap()))
-            .collect(),
-        Dtype::I64 => data
-            .chunks_exact(8)
-            .map(|b| i64::from_le_bytes(b.try_into().unwrap()) as f32)
-            .collect(),
-        Dtype::I32 => data
-            .chunks_exact(4)
-            .map(|b| i32::from_le_bytes(b.try_into().unwrap()) as f32)
-            .collect(),
-        other => panic!("unexpected type {other:?}"),
     }
 }
 

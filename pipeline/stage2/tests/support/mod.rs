@@ -1,14 +1,16 @@
 //! Golden files of Stage 2 and comparisons with them.
 
+#[path = "../../../../tests/support/tensors.rs"]
+mod tensors;
 pub(crate) mod updates;
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use burn::tensor::Device;
 use rogs_needs::shared;
 use rogs_stage2::{FeatureMap, RefinerConfig, TokenGrid};
 use rogs_tensors::parameters::Parameters;
+use tensors::Tensors;
 
 /// Tolerance of features and attributes, and of hidden states: |a - b| <= absolute + 1e-4 |b|.
 pub(crate) const FEATURE: f64 = 1e-4;
@@ -17,7 +19,7 @@ pub(crate) const STATE: f64 = 2e-4;
 /// A golden file in memory.
 pub(crate) struct Golden {
     name: String,
-    arrays: BTreeMap<String, (Vec<usize>, Vec<f32>)>,
+    arrays: Tensors,
 }
 
 /// Where a golden file lies: with the crate when it is small, else with the reference data.
@@ -39,35 +41,21 @@ pub(crate) fn text(file: &str) -> String {
 /// A golden file by name.
 pub(crate) fn golden(name: &str) -> Golden {
     let path = find(&format!("{name}.safetensors"));
-    let bytes = std::fs::read(&path).unwrap_or_else(|error| panic!("`{}`: {error}", path.display()));
-    let file = safetensors::SafeTensors::deserialize(&bytes).unwrap();
-    let array = |(name, view): (&str, safetensors::tensor::TensorView<'_>)| {
-        let values = view
-            .data()
-            .chunks_exact(4)
-            .map(|b| f32::from_le_bytes(b.try_into().unwrap()))
-            .collect();
-        (name.to_owned(), (view.shape().to_vec(), values))
-    };
     Golden {
         name: name.to_owned(),
-        arrays: file.iter().map(array).collect(),
+        arrays: Tensors::read(&path),
     }
 }
 
 impl Golden {
     /// Whether the file has an array.
     pub(crate) fn has(&self, name: &str) -> bool {
-        self.arrays.contains_key(name)
+        self.arrays.has(name)
     }
 
     /// Values of an array.
     pub(crate) fn array(&self, name: &str) -> &[f32] {
-        &self
-            .arrays
-            .get(name)
-            .unwrap_or_else(|| panic!("{} has no `{name}`", self.name))
-            .1
+        self.arrays.values(name)
     }
 
     /// Values of an array of indices.
@@ -82,8 +70,8 @@ impl Golden {
 
     /// Views of an array `[views, channels, height, width]`.
     pub(crate) fn images(&self, name: &str) -> Vec<FeatureMap> {
-        let (shape, values) = &self.arrays[name];
-        let [_, channels, height, width] = shape[..] else {
+        let (shape, values) = (self.arrays.shape(name), self.arrays.values(name));
+        let &[_, channels, height, width] = shape else {
             panic!("not an image: `{name}`")
         };
         let area = height * width;
@@ -101,7 +89,7 @@ impl Golden {
 
     /// Views of an array of tokens `[views * height * width, channels]`.
     pub(crate) fn views(&self, name: &str, height: usize, width: usize) -> Vec<FeatureMap> {
-        let (shape, values) = &self.arrays[name];
+        let (shape, values) = (self.arrays.shape(name), self.arrays.values(name));
         let channels = shape[1];
         let view = |data: &[f32]| FeatureMap {
             height,
@@ -131,9 +119,10 @@ impl Golden {
     /// The weights of the file.
     pub(crate) fn parameters(&self, device: &Device) -> Parameters {
         let mut parameters = Parameters::new(device);
-        for (name, (shape, values)) in &self.arrays {
-            if let Some(name) = name.strip_prefix("w.") {
-                parameters.insert(name, shape, values.clone()).unwrap();
+        for array in self.arrays.names() {
+            if let Some(name) = array.strip_prefix("w.") {
+                let (shape, values) = (self.arrays.shape(array), self.arrays.values(array));
+                parameters.insert(name, shape, values.to_vec()).unwrap();
             }
         }
         parameters
