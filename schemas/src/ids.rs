@@ -56,6 +56,20 @@ fn is_safe(c: char) -> bool {
     c.is_ascii_alphanumeric() || "._+-".contains(c)
 }
 
+/// The candidate that `word` was probably meant to be, unless two are as near; case does not count.
+#[must_use]
+pub fn did_you_mean<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let lowered = word.to_lowercase();
+    let distance = |candidate: &str| strsim::damerau_levenshtein(&lowered, &candidate.to_lowercase());
+    let mut scored: Vec<_> = (candidates.into_iter())
+        .map(|candidate| (distance(candidate), candidate))
+        .collect();
+    scored.sort_by_key(|&(distance, _)| distance);
+    let &(nearest, candidate) = scored.first()?;
+    let alone = scored.get(1).is_none_or(|&(second, _)| second > nearest);
+    (alone && nearest <= 1 + word.chars().count() / 4).then_some(candidate)
+}
+
 /// Name of a clip, unique in a run; also the name of its folder, so [`check_name`] holds for it.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
@@ -178,5 +192,13 @@ mod tests {
         assert_eq!(serde_json::to_string(&id).unwrap(), "\"kitchen-0\"");
         assert_eq!(serde_json::from_str::<ClipId>("\"kitchen-0\"").unwrap(), id);
         assert!(serde_json::from_str::<ClipId>("\"..\"").is_err());
+    }
+
+    #[test]
+    fn near_words_are_suggested_and_far_ones_are_not() {
+        assert_eq!(did_you_mean("calibraton", ["root", "calibration"]), Some("calibration"));
+        assert_eq!(did_you_mean("ROOT", ["root", "calibration"]), Some("root"));
+        assert_eq!(did_you_mean("zebra", ["root", "calibration"]), None);
+        assert_eq!(did_you_mean("a", ["b", "c"]), None, "either");
     }
 }

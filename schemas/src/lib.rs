@@ -21,6 +21,7 @@
 //! # Ok::<(), rogs_schemas::ids::InvalidName>(())
 //! ```
 
+pub mod device;
 pub mod episode;
 mod identity;
 pub mod ids;
@@ -32,6 +33,7 @@ pub mod protocol;
 pub mod records;
 pub mod units;
 
+pub use device::Device;
 pub use identity::{FileInfo, SchemaId};
 pub use ids::ClipId;
 pub use json::{canonical_json, overlay};

@@ -84,7 +84,7 @@ fn dependencies_point_one_way() {
             "rogs-worker" => &["rogs-schemas", "rogs-r4c"],
             "rogs-robot" | "rogs-splat" => &["rogs-schemas", "rogs-geometry"],
             "rogs-field" => &["rogs-schemas", "rogs-geometry", "rogs-splat"],
-            "rogs-tensors" => &["rogs-kernels", "rogs-weights", "rogs-splat"],
+            "rogs-tensors" => &["rogs-schemas", "rogs-kernels", "rogs-weights", "rogs-splat"],
             "rogs-stage1" => &[
                 "rogs-schemas",
                 "rogs-geometry",

@@ -3,9 +3,10 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use rogs_schemas::ids::did_you_mean;
 use toml_edit::{Document, Item, Table, TableLike, Value};
 
-use crate::error::{Error, Place, did_you_mean};
+use crate::error::{Error, Place};
 
 /// Where something stands in a manifest: keys and places in arrays, from the top.
 #[derive(Debug, Clone, PartialEq, Eq)]

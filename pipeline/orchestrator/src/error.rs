@@ -138,23 +138,3 @@ pub(crate) fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Erro
     let path = path.to_owned();
     move |source| Error::Io { action, path, source }
 }
-
-/// The candidate that `word` was probably meant to be.
-pub(crate) fn did_you_mean<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    let scored = candidates
-        .into_iter()
-        .map(|candidate| (strsim::damerau_levenshtein(word, candidate), candidate));
-    let best = scored.min_by_key(|&(distance, _)| distance)?;
-    (best.0 <= 1 + word.chars().count() / 4).then_some(best.1)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn near_words_are_suggested_and_far_ones_are_not() {
-        assert_eq!(did_you_mean("calibraton", ["root", "calibration"]), Some("calibration"));
-        assert_eq!(did_you_mean("zebra", ["root", "calibration"]), None);
-    }
-}

@@ -1,5 +1,7 @@
 //! One interface to the rasteriser wherever it runs: on the CPU, or (feature `gpu`) on a GPU.
 
+use rogs_schemas::Device;
+
 use crate::backward::{self, Gradients, PoseGradient, RenderGradient, Tape};
 use crate::camera::{RasterCamera, RasterConfig};
 use crate::contributions::{self, Contributions, Eligible};
@@ -41,22 +43,18 @@ pub enum RasterContributions {
 }
 
 impl RasterDevice {
-    /// The device of a name: `cpu`, or `gpu` for the system's preferred graphics adapter.
+    /// Opens a device.
     ///
     /// # Errors
-    /// When the name is another, when this program was built without the feature `gpu`, or when there is no adapter.
-    pub fn open(name: &str) -> Result<Self> {
-        match name {
-            "cpu" => Ok(Self::Cpu),
+    /// When this program was built without the feature `gpu`, or when there is no adapter.
+    pub fn open(device: Device) -> Result<Self> {
+        match device {
+            Device::Cpu => Ok(Self::Cpu),
             #[cfg(feature = "gpu")]
-            "gpu" => Ok(Self::Gpu(GpuDevice::open()?)),
+            Device::Gpu => Ok(Self::Gpu(GpuDevice::open()?)),
             #[cfg(not(feature = "gpu"))]
-            "gpu" => Err(SplatError::Gpu {
+            Device::Gpu => Err(SplatError::Gpu {
                 what: "this program was built without it; build it with the feature `gpu`".to_owned(),
-            }),
-            _ => Err(SplatError::Setting {
-                what: "a device is `cpu` or `gpu`",
-                value: name.to_owned(),
             }),
         }
     }
@@ -65,7 +63,7 @@ impl RasterDevice {
     #[must_use]
     pub fn name(&self) -> &str {
         match self {
-            Self::Cpu => "cpu",
+            Self::Cpu => Device::Cpu.name(),
             #[cfg(feature = "gpu")]
             Self::Gpu(device) => device.name(),
         }
@@ -199,17 +197,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_checked() {
-        assert_eq!(RasterDevice::open("cpu").unwrap().name(), "cpu");
-        assert!(
-            RasterDevice::open("tpu")
-                .unwrap_err()
-                .to_string()
-                .contains("`cpu` or `gpu`: tpu")
-        );
+    fn devices_are_opened_where_the_program_has_them() {
+        assert_eq!(RasterDevice::open(Device::Cpu).unwrap().name(), "cpu");
         #[cfg(not(feature = "gpu"))]
         assert!(
-            RasterDevice::open("gpu")
+            RasterDevice::open(Device::Gpu)
                 .unwrap_err()
                 .to_string()
                 .contains("built without")

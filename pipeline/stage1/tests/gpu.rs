@@ -14,7 +14,7 @@ use support::network::{ATTRIBUTES, frames, run};
 use support::{Golden, close, host, scaled_tolerance, tiny, worst};
 
 fn device() -> Device {
-    let device = device::open("gpu").unwrap();
+    let device = device::open(rogs_schemas::Device::Gpu).unwrap();
     println!(
         "on {}; bf16 {}",
         rogs_splat::GpuDevice::open().unwrap().name(),

@@ -13,7 +13,7 @@ use rogs_tensors::device;
 use support::updates;
 
 fn device() -> Device {
-    let device = device::open("gpu").unwrap();
+    let device = device::open(rogs_schemas::Device::Gpu).unwrap();
     println!(
         "on {}; bf16 {}",
         rogs_splat::GpuDevice::open().unwrap().name(),

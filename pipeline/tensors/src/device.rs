@@ -9,31 +9,25 @@ use burn::tensor::Device;
 
 use crate::{Error, Result};
 
-/// Checks that a device has this name, whether or not this machine has it.
+/// Opens a device; on a GPU, networks share the adapter with the rasteriser.
 ///
 /// # Errors
-/// When the name is neither `cpu` nor `gpu`.
-pub fn check(name: &str) -> Result<()> {
-    match name {
-        "cpu" | "gpu" => Ok(()),
-        _ => Err(Error::Device(format!("`device` must be `cpu` or `gpu`, not `{name}`"))),
+/// When this program was built without the feature `gpu`, or when there is no adapter.
+pub fn open(device: rogs_schemas::Device) -> Result<Device> {
+    match device {
+        rogs_schemas::Device::Cpu => Ok(Device::flex()),
+        rogs_schemas::Device::Gpu => graphics(),
     }
 }
 
-/// The device of a name: `cpu`, or `gpu` for the system's preferred graphics adapter, which networks share with the
-/// rasteriser.
-///
-/// # Errors
-/// When the name is another, when this program was built without the feature `gpu`, or when there is no adapter.
-pub fn open(name: &str) -> Result<Device> {
-    check(name)?;
-    if name == "gpu" { graphics() } else { Ok(Device::flex()) }
-}
-
-/// The name of a device, as [`open`] takes it.
+/// What [`open`] made a device of.
 #[must_use]
-pub fn name(device: &Device) -> &'static str {
-    if is_cpu(device) { "cpu" } else { "gpu" }
+pub fn kind(device: &Device) -> rogs_schemas::Device {
+    if is_cpu(device) {
+        rogs_schemas::Device::Cpu
+    } else {
+        rogs_schemas::Device::Gpu
+    }
 }
 
 /// Whether tensors of a device are those of the CPU, recording gradients or not.
@@ -62,14 +56,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_told() {
-        assert!(is_cpu(&open("cpu").unwrap()));
+    fn devices_are_opened_and_told() {
+        assert!(is_cpu(&open(rogs_schemas::Device::Cpu).unwrap()));
         assert!(is_cpu(&Device::flex().autodiff()));
-        assert_eq!(name(&Device::flex().autodiff()), "cpu");
-        let error = open("tpu").unwrap_err().to_string();
-        assert!(error.contains("`cpu` or `gpu`, not `tpu`"), "{error}");
+        assert_eq!(kind(&Device::flex().autodiff()), rogs_schemas::Device::Cpu);
         if cfg!(not(feature = "gpu")) {
-            let error = open("gpu").unwrap_err().to_string();
+            let error = open(rogs_schemas::Device::Gpu).unwrap_err().to_string();
             assert!(error.contains("feature `gpu`"), "{error}");
         }
     }

@@ -46,7 +46,7 @@ impl Model {
 /// # Errors
 /// When the file cannot be read or is not a Stage-1 checkpoint, or the configuration is not known.
 pub fn load_model(params: &LiftParams, weights: Option<&Path>) -> StageResult<Model> {
-    let device = device::open(&params.device).map_err(stage_error)?;
+    let device = device::open(params.device).map_err(stage_error)?;
     let mut model = match weights {
         Some(path) => read(path, &device)?,
         None => generated(params, &device)?,

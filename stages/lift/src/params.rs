@@ -1,8 +1,8 @@
 //! Parameters of the stage; the defaults are the paper's method.
 
 use rogs_field::gates::{MOTION_GATE_IU, MotionGates};
+use rogs_schemas::Device;
 use rogs_stage1::Precision;
-use rogs_tensors::device;
 use rogs_worker::{StageError, StageResult};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -39,7 +39,7 @@ pub struct LiftParams {
     /// Precision of the large matrix products of encoder and aggregator.
     pub precision: ProductPrecision,
     /// Where the network runs: `cpu`, or `gpu` where the program was built with the feature `gpu`.
-    pub device: String,
+    pub device: Device,
     /// What patch tokens are made from.
     pub tokens: TokenSource,
     /// Pixels per latent that the latents must have (8 or 16); null for what their file says.
@@ -127,7 +127,7 @@ impl Default for LiftParams {
             source_frames: None,
             query_state: QueryState::Auto,
             precision: ProductPrecision::F32,
-            device: "cpu".into(),
+            device: Device::Cpu,
             tokens: TokenSource::Rgb,
             latent_stride: None,
         }
@@ -167,8 +167,7 @@ impl LiftParams {
         if self.latent_stride.is_some_and(|stride| ![8, 16].contains(&stride)) {
             return Err(StageError::bad_params("`latent_stride` must be 8 or 16, or null"));
         }
-        device::check(&self.device).map_err(|error| StageError::bad_params(error.to_string()))?;
-        if self.device != "cpu" && self.precision == ProductPrecision::Bf16 {
+        if self.device != Device::Cpu && self.precision == ProductPrecision::Bf16 {
             return Err(StageError::bad_params(
                 "`precision = \"bf16\"` needs the CPU: GPUs are programmed in WGSL here, which has no \
                  bfloat16 numbers",
@@ -215,21 +214,19 @@ mod tests {
 
     #[test]
     fn a_device_is_one_that_there_is() {
-        let on = |device: &str, precision| LiftParams {
-            device: device.into(),
+        let on = |device, precision| LiftParams {
+            device,
             precision,
             ..LiftParams::default()
         };
-        assert!(on("cpu", ProductPrecision::Bf16).validate().is_ok());
-        assert!(on("gpu", ProductPrecision::F32).validate().is_ok());
-        let error = on("gpu", ProductPrecision::Bf16).validate().unwrap_err();
+        assert!(on(Device::Cpu, ProductPrecision::Bf16).validate().is_ok());
+        assert!(on(Device::Gpu, ProductPrecision::F32).validate().is_ok());
+        let error = on(Device::Gpu, ProductPrecision::Bf16).validate().unwrap_err();
         assert!(error.message.contains("no bfloat16"), "{}", error.message);
-        let error = on("tpu", ProductPrecision::F32).validate().unwrap_err();
-        assert!(error.message.contains("`cpu` or `gpu`"), "{}", error.message);
+        let error = rogs_worker::parse_params::<LiftParams>(&serde_json::json!({"device": "gup"})).unwrap_err();
+        assert!(error.message.contains("did you mean `gpu`?"), "{}", error.message);
         if cfg!(not(feature = "gpu")) {
-            let error = crate::load_model(&on("gpu", ProductPrecision::F32), None)
-                .err()
-                .unwrap();
+            let error = crate::load_model(&on(Device::Gpu, ProductPrecision::F32), None).err().unwrap();
             assert!(error.message.contains("feature `gpu`"), "{}", error.message);
         }
     }

@@ -1,8 +1,8 @@
 //! Parameters of the stage.
 
+use rogs_schemas::Device;
 use rogs_schemas::records::refinement::ScaleResidual;
 use rogs_stage2::RefinerConfig;
-use rogs_tensors::device;
 use rogs_worker::{StageError, StageResult};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -31,7 +31,7 @@ pub struct RefineParams {
     /// Seed of the weights when no weights file is given.
     pub seed: u64,
     /// Where the updater runs: `cpu`, or `gpu` where the program was built with the feature `gpu`.
-    pub device: String,
+    pub device: Device,
 }
 
 impl Default for RefineParams {
@@ -45,7 +45,7 @@ impl Default for RefineParams {
             scale_residual: ScaleResidual::PreActivation,
             recompute_knn: false,
             seed: 0,
-            device: "cpu".into(),
+            device: Device::Cpu,
         }
     }
 }
@@ -69,7 +69,6 @@ impl RefineParams {
                 self.epsilon
             )));
         }
-        device::check(&self.device).map_err(|error| StageError::bad_params(error.to_string()))?;
         Ok((config, updates))
     }
 }
@@ -92,15 +91,13 @@ mod tests {
             ..RefineParams::default()
         };
         assert!(wrong.resolve().unwrap_err().message.contains("paper, cpu, ci"));
-        let on = |device: &str| RefineParams {
-            device: device.into(),
+        let on = |device| RefineParams {
+            device,
             ..RefineParams::default()
         };
-        assert!(on("gpu").resolve().is_ok());
-        let error = on("tpu").resolve().unwrap_err();
-        assert!(error.message.contains("`cpu` or `gpu`"), "{}", error.message);
+        assert!(on(Device::Gpu).resolve().is_ok());
         if cfg!(not(feature = "gpu")) {
-            let error = crate::load_refiner(&on("gpu"), None).err().unwrap();
+            let error = crate::load_refiner(&on(Device::Gpu), None).err().unwrap();
             assert!(error.message.contains("feature `gpu`"), "{}", error.message);
         }
         assert!(

@@ -29,7 +29,7 @@ pub static CI_WEIGHTS: &[u8] = include_bytes!("../weights/ci-stage2.safetensors"
 /// When the file cannot be read or does not fit the preset.
 pub fn load_refiner(params: &RefineParams, weights: Option<&Path>) -> StageResult<LoadedRefiner> {
     let (config, _) = params.resolve()?;
-    let device = device::open(&params.device).map_err(|error| StageError::bad_params(error.to_string()))?;
+    let device = device::open(params.device).map_err(|error| StageError::bad_params(error.to_string()))?;
     match weights {
         Some(path) => from_file(params, &config, path, &device),
         None => seeded(params, &config, &device),

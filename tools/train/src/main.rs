@@ -74,14 +74,14 @@ struct CourseArguments {
     stop_after: Option<u64>,
     /// Where networks run: `cpu`, or `gpu` where this program was built with the feature `gpu`. A run may change it; its
     /// updates then differ by rounding.
-    #[arg(long, default_value = "cpu")]
-    device: String,
+    #[arg(long, default_value_t)]
+    device: rogs_schemas::Device,
 }
 
 impl CourseArguments {
     /// The device that is named.
     fn device(&self) -> Result<Device> {
-        Ok(device::open(&self.device)?)
+        Ok(device::open(self.device)?)
     }
 
     /// Runs a trainer and says where its network lies.

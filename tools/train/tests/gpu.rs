@@ -33,7 +33,7 @@ const TOLERANCE: f64 = 1e-3;
 const OF_GRADIENTS: f64 = 3e-3;
 
 fn gpu() -> Device {
-    device::open("gpu").unwrap()
+    device::open(rogs_schemas::Device::Gpu).unwrap()
 }
 
 fn data() -> DataSettings {

@@ -6,12 +6,13 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use rogs_schemas::ContentHash;
+use rogs_schemas::ids::did_you_mean;
 use serde_json::Map;
 
 use super::model::{Plan, PlannedClip, PlannedSource, latents_file};
 use super::params::normalise_overrides;
 use crate::diagnose::{At, Text};
-use crate::error::{Result, did_you_mean};
+use crate::error::Result;
 use crate::manifest::{Episode, Input, Manifest, Params, safe_name};
 use crate::programs::{ListedEpisode, StagePrograms};
 use crate::sources::SourceCache;

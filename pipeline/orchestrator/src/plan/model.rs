@@ -174,7 +174,7 @@ impl Plan {
         let found = found.or_else(|| self.clips.iter().position(|clip| clip.episode == name));
         found.ok_or_else(|| {
             let error = crate::Error::usage(format!("the run has no clip `{name}`"));
-            match crate::error::did_you_mean(name, self.clips.iter().map(|clip| clip.id.as_str())) {
+            match rogs_schemas::ids::did_you_mean(name, self.clips.iter().map(|clip| clip.id.as_str())) {
                 Some(meant) => error.with_hint(format!("did you mean `{meant}`?")),
                 None => error.with_hint("`rogs status RUN` lists the clips"),
             }

@@ -4,13 +4,14 @@
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
+use rogs_schemas::ids::did_you_mean;
 use rogs_schemas::overlay;
 use rogs_schemas::protocol::{Description, InputDescription};
 use serde_json::{Map, Value};
 
 use super::model::{InputSource, Node, NodeInput, PlannedSource};
 use crate::diagnose::{At, Text};
-use crate::error::{Error, Result, did_you_mean};
+use crate::error::{Error, Result};
 use crate::manifest::{Manifest, Params, Prediction, Variant};
 use crate::programs::StagePrograms;
 use crate::sources::SourceCache;

@@ -8,11 +8,11 @@ use rogs_arrays::{NamedArray, write_exr, write_npz, write_png};
 use rogs_field::{Axes, TimedField, export_field};
 use rogs_geometry::{Base, Camera, Pinhole, Pose, PosedCamera, Recon};
 use rogs_r4c::read_record;
-use rogs_schemas::Intrinsics;
 use rogs_schemas::ids::check_name;
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::units::LengthUnit;
+use rogs_schemas::{Device, Intrinsics};
 use rogs_splat::{Gaussians, RasterCamera, RasterConfig, RasterDevice, Render};
 use serde::{Deserialize, Serialize};
 
@@ -72,8 +72,8 @@ pub(crate) struct ViewArgs {
     #[arg(long, value_enum, default_value_t, requires = "ply")]
     axes: AxesArg,
     /// Where to render: `cpu`, or `gpu` where the program was built with the feature `gpu`.
-    #[arg(long, value_name = "cpu|gpu", default_value = "cpu")]
-    device: String,
+    #[arg(long, value_name = "cpu|gpu", default_value_t)]
+    device: Device,
     /// Print one JSON value: the files and what became of the Gaussians.
     #[arg(long)]
     json: bool,
@@ -186,7 +186,7 @@ pub(crate) fn render_field(
 ) -> anyhow::Result<ExitCode> {
     // A field takes long to read: a camera file with a mistake is reported first.
     read_cameras(&view.camera)?;
-    RasterDevice::open(&view.device)?;
+    RasterDevice::open(view.device)?;
     let refinement = match refinement {
         Some(path) => Some(read_record::<Refinement>(path)?.0),
         None => None,
@@ -225,7 +225,7 @@ fn make_folder(path: &Path) -> anyhow::Result<()> {
 /// has been understood.
 fn render_scene(scene: &Scene, args: &ViewArgs, ply: Option<&WritePly<'_>>) -> anyhow::Result<ExitCode> {
     let cameras = read_cameras(&args.camera)?;
-    let device = RasterDevice::open(&args.device)?;
+    let device = RasterDevice::open(args.device)?;
     let views: Vec<(PosedCamera<Recon>, RasterCamera)> = cameras
         .iter()
         .map(|spec| camera(spec, scene))

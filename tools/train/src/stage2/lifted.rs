@@ -34,7 +34,7 @@ pub(super) struct Lifter {
 impl Lifter {
     pub(super) fn load(weights: &Path, device: &Device) -> Result<Self> {
         let params = LiftParams {
-            device: device::name(device).into(),
+            device: device::kind(device),
             ..LiftParams::default()
         };
         let model = load_model(&params, Some(weights))?;
