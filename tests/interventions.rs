@@ -117,7 +117,7 @@ fn latents(path: &Path, clip: &Clip, scale: f32) {
     ];
     let metadata = metadata.map(|(key, value)| (key.to_owned(), value.to_owned())).into();
     let tensors = clip.source_cameras().into_iter().map(|camera| {
-        let name = format!("latents.{}", clip.cameras[camera as usize].id);
+        let name = format!("latents.{}", clip.cameras[camera.at()].id);
         tensor(&name, &[48, 5, rows, columns], move |k| noise(k) * scale)
     });
     write(path, &metadata, ElementType::F32, tensors.collect()).unwrap();

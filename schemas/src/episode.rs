@@ -4,6 +4,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::index::EpisodeFrame;
 use crate::pose::{Intrinsics, RigidPose};
 use crate::records::origin::ReferenceOrigin;
 
@@ -158,7 +159,7 @@ fn default_range() -> [f32; 2] {
 #[serde(deny_unknown_fields)]
 pub struct EpisodeTracks {
     /// Frame of the episode in which the anchor pixels lie.
-    pub anchor_frame: u32,
+    pub anchor_frame: EpisodeFrame,
     /// Index into `cameras` of each track's anchor pixel, u32 `[K]`.
     pub camera: String,
     /// Anchor pixels (x, y) of the recorded image in the camera's `pixel_centres` convention, f32 `[K, 2]`.

@@ -310,6 +310,7 @@ mod tests {
     use rogs_schemas::RigidPose;
     use rogs_schemas::records::clip::SourceView;
     use rogs_schemas::records::field::WeightsInfo;
+    use rogs_schemas::{CameraIndex, FrameIndex};
 
     use super::*;
 
@@ -330,7 +331,10 @@ mod tests {
             frame_count: 17,
             height: 1,
             width: 6,
-            views: vec![SourceView { camera: 0, frame: 0 }],
+            views: vec![SourceView {
+                camera: CameraIndex(0),
+                frame: FrameIndex(0),
+            }],
             recon_from_base: RigidPose::IDENTITY,
             weights: WeightsInfo {
                 trained: false,

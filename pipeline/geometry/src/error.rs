@@ -1,5 +1,7 @@
 //! Errors of this crate.
 
+use rogs_schemas::FrameIndex;
+
 /// Result of this crate.
 pub type Result<T> = std::result::Result<T, Error>;
 
@@ -19,12 +21,12 @@ pub enum Error {
         /// Its id, or its number where the clip has no such camera.
         camera: String,
         /// Clip frame.
-        frame: usize,
+        frame: FrameIndex,
     },
     /// A frame that the robot maps have no link poses of.
     #[error("the robot maps have no link poses for frame {frame}")]
     MissingLinkPoses {
         /// Clip frame.
-        frame: usize,
+        frame: FrameIndex,
     },
 }

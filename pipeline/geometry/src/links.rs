@@ -1,10 +1,10 @@
 //! How the links of a robot move between two times (paper, FK displacement; `docs/spec/conditioning.md`).
 
 use glam::{DMat3, DVec3};
-use rogs_schemas::RigidPose;
 use rogs_schemas::records::conditioning::{ViewConditioning, plane};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::units::UNITS_PER_METRE;
+use rogs_schemas::{FrameIndex, RigidPose};
 
 use crate::error::{Error, Result};
 use crate::pose::{Base, Link, Pose, Recon};
@@ -19,10 +19,10 @@ impl LinkPoses {
     ///
     /// # Errors
     /// When the robot maps do not have the frame, or a stored pose is not rigid.
-    pub fn at_frame(robot: &RobotMaps, frame: u32) -> Result<Self> {
+    pub fn at_frame(robot: &RobotMaps, frame: FrameIndex) -> Result<Self> {
         let recon_from_base: Pose<Recon, Base> = Pose::from_rigid(&robot.recon_from_base)?;
         let in_recon = |stored| Ok(recon_from_base * Pose::<Base, Link>::from_rigid(stored)?);
-        stored(robot, frame as usize)?
+        stored(robot, frame)?
             .iter()
             .map(in_recon)
             .collect::<Result<_>>()
@@ -37,9 +37,8 @@ impl LinkPoses {
     pub fn between_frames(robot: &RobotMaps, position: f64) -> Result<Self> {
         let recon_from_base: Pose<Recon, Base> = Pose::from_rigid(&robot.recon_from_base)?;
         let (before, after) = (position.floor(), position.ceil());
-        let ends = stored(robot, before as usize)?
-            .iter()
-            .zip(stored(robot, after as usize)?);
+        let at = |position: f64| stored(robot, FrameIndex(position as u32));
+        let ends = at(before)?.iter().zip(at(after)?);
         ends.map(|(a, b)| Ok(recon_from_base * interpolated(a, b, position - before)?))
             .collect::<Result<_>>()
             .map(Self)
@@ -84,11 +83,11 @@ impl LinkMotions {
 }
 
 /// The stored base_from_link of all links at a frame.
-fn stored(robot: &RobotMaps, frame: usize) -> Result<&[RigidPose]> {
+fn stored(robot: &RobotMaps, frame: FrameIndex) -> Result<&[RigidPose]> {
     let links = robot.link_names.len();
     robot
         .base_from_link
-        .get(frame * links..(frame + 1) * links)
+        .get(frame.at() * links..(frame.at() + 1) * links)
         .ok_or(Error::MissingLinkPoses { frame })
 }
 

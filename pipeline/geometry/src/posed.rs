@@ -2,6 +2,7 @@
 
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::robot::RobotMaps;
+use rogs_schemas::{CameraIndex, FrameIndex};
 
 use crate::error::{Error, Result};
 use crate::pinhole::Pinhole;
@@ -38,14 +39,14 @@ impl PosedCamera<Base> {
     ///
     /// # Errors
     /// When the clip has no such camera, the robot maps have no pose of it at this frame, or the pose is not rigid.
-    pub fn of_clip(clip: &Clip, robot: &RobotMaps, camera: usize, frame: usize) -> Result<Self> {
+    pub fn of_clip(clip: &Clip, robot: &RobotMaps, camera: CameraIndex, frame: FrameIndex) -> Result<Self> {
         let frames = clip.frame_count();
-        let view = clip.cameras.get(camera);
+        let view = clip.cameras.get(camera.at());
         let name = || view.map_or_else(|| camera.to_string(), |view| view.id.clone());
         let stored = robot
             .base_from_camera
-            .get(camera * frames + frame)
-            .filter(|_| frame < frames);
+            .get(camera.at() * frames + frame.at())
+            .filter(|_| frame.at() < frames);
         let (Some(view), Some(stored)) = (view, stored) else {
             return Err(Error::NoPose { camera: name(), frame });
         };

@@ -7,6 +7,7 @@ use common::Scratch;
 use rogs_r4c::{Error, Reader, Record, inspect, read_header, read_record, verify, write_record};
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::Field;
+use rogs_schemas::{CameraIndex, FrameIndex};
 
 fn survives<T: Record + std::fmt::Debug>(name: &str, record: &T) {
     let scratch = Scratch::new(&format!("survives-{name}"));
@@ -85,13 +86,15 @@ fn contradictions_are_refused_on_writing() {
     refused("depth has", &|clip| {
         clip.cameras[1].depth.as_mut().unwrap().depth_m.push(0.0)
     });
-    refused("query frames", &|clip| clip.query_frames = vec![3]);
-    refused("source frames", &|clip| clip.source_frames = vec![2, 0]);
-    refused("anchor frame", &|clip| clip.anchor_frame = 3);
+    refused("query frames", &|clip| clip.query_frames = vec![FrameIndex(3)]);
+    refused("source frames", &|clip| {
+        clip.source_frames = [2, 0].map(FrameIndex).to_vec()
+    });
+    refused("anchor frame", &|clip| clip.anchor_frame = FrameIndex(3));
     refused("focal length", &|clip| clip.cameras[1].intrinsics.fx = 0.0);
     refused("joint positions", &|clip| clip.robot.positions.truncate(5));
     refused("a joint position", &|clip| clip.robot.positions[2] = f64::NAN);
-    refused("partner", &|clip| clip.cameras[2].partner = Some(2));
+    refused("partner", &|clip| clip.cameras[2].partner = Some(CameraIndex(2)));
     refused("trajectory", &|clip| {
         let rogs_schemas::records::clip::CameraMount::Trajectory { base_from_camera } = &mut clip.cameras[2].mount
         else {
@@ -100,7 +103,9 @@ fn contradictions_are_refused_on_writing() {
         base_from_camera.pop();
     });
     refused("track visibility", &|clip| clip.tracks.as_mut().unwrap().visible[0] = 2);
-    refused("a track lies", &|clip| clip.tracks.as_mut().unwrap().camera[0] = 9);
+    refused("a track lies", &|clip| {
+        clip.tracks.as_mut().unwrap().camera[0] = CameraIndex(9)
+    });
 }
 
 #[test]

@@ -8,11 +8,11 @@ use std::process::{Command, Output};
 
 use rogs_field::read_ply_file;
 use rogs_r4c::write_record;
-use rogs_schemas::RigidPose;
 use rogs_schemas::key::{KeyMaterial, Provenance};
 use rogs_schemas::records::clip::SourceView;
 use rogs_schemas::records::field::{Field, TimeSlice, WeightsInfo};
 use rogs_schemas::records::robot::NO_LINK;
+use rogs_schemas::{CameraIndex, FrameIndex, RigidPose};
 use rogs_splat::Colour;
 use serde_json::Value;
 
@@ -113,7 +113,10 @@ fn wall() -> Field {
         frame_count: 17,
         height: HEIGHT as u32,
         width: WIDTH as u32,
-        views: vec![SourceView { camera: 0, frame: 0 }],
+        views: vec![SourceView {
+            camera: CameraIndex(0),
+            frame: FrameIndex(0),
+        }],
         recon_from_base: recon_from_base(),
         weights: WeightsInfo {
             trained: false,

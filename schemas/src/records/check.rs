@@ -1,5 +1,7 @@
 //! Checks shared by the records and by whoever reads them from files; each returns what is wrong, in words.
 
+use crate::index::FrameIndex;
+
 /// Result of a check.
 pub type Check = Result<(), String>;
 
@@ -42,10 +44,10 @@ pub fn area(height: u32, width: u32) -> Result<usize, String> {
 ///
 /// # Errors
 /// When they do not.
-pub fn ascending_frames(what: &str, frames: &[u32], frame_count: usize) -> Check {
+pub fn ascending_frames(what: &str, frames: &[FrameIndex], frame_count: usize) -> Check {
     let sorted = frames.is_sorted_by(|a, b| a < b);
     ensure(
-        sorted && frames.last().is_none_or(|&last| (last as usize) < frame_count),
+        sorted && frames.last().is_none_or(|last| last.at() < frame_count),
         || format!("{what} {frames:?} do not ascend below {frame_count}"),
     )
 }

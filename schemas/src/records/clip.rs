@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::check::{Check, area, ascending_frames, binary, count, ensure, finite, pose, product};
 use crate::ids::ClipId;
+use crate::index::{CameraIndex, EpisodeFrame, FrameIndex};
 use crate::pose::{Intrinsics, RigidPose};
 use crate::records::origin::{ReferenceKind, ReferenceOrigin, ReferenceUse};
 
@@ -23,13 +24,13 @@ pub struct Clip {
     /// Frames per second of the clip.
     pub fps: f64,
     /// Index in the episode of every clip frame. `[F]`
-    pub episode_frames: Vec<u32>,
+    pub episode_frames: Vec<EpisodeFrame>,
     /// Source times as clip frames, ascending (default 0, 4, 8, 12, 16).
-    pub source_frames: Vec<u32>,
+    pub source_frames: Vec<FrameIndex>,
     /// Distinct query times as clip frames, ascending (`docs/spec/scoring.md` section 3).
-    pub query_frames: Vec<u32>,
+    pub query_frames: Vec<FrameIndex>,
     /// Anchor time of displacement scores, a clip frame.
-    pub anchor_frame: u32,
+    pub anchor_frame: FrameIndex,
     /// Image height of every camera, pixels.
     pub height: u32,
     /// Image width of every camera, pixels.
@@ -81,7 +82,7 @@ pub struct ClipCamera {
     /// Input or held out.
     pub role: CameraRole,
     /// For an evaluation camera: index of the source camera whose stereo partner it is.
-    pub partner: Option<u32>,
+    pub partner: Option<CameraIndex>,
     /// Intrinsics at the clip's resolution.
     pub intrinsics: Intrinsics,
     /// Pose.
@@ -118,9 +119,9 @@ pub struct RobotStates {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tracks {
     /// Clip frame in which the anchor pixels lie.
-    pub anchor_frame: u32,
+    pub anchor_frame: FrameIndex,
     /// Index of the (source) camera of each track's anchor pixel. `[K]`
-    pub camera: Vec<u32>,
+    pub camera: Vec<CameraIndex>,
     /// Anchor pixel `(x, y)` with INTEGER pixel centres: pixel (column j, row i) has its centre at (j, i), as the
     /// scorer's nearest-pixel rule `floor(x + 0.5)` expects. `[K, 2]`
     pub pixel: Vec<f32>,
@@ -150,16 +151,17 @@ impl Clip {
 
     /// Indices of the source cameras, in order.
     #[must_use]
-    pub fn source_cameras(&self) -> Vec<u32> {
-        let is_source =
-            |(index, camera): (usize, &ClipCamera)| (camera.role == CameraRole::Source).then_some(index as u32);
-        self.cameras.iter().enumerate().filter_map(is_source).collect()
+    pub fn source_cameras(&self) -> Vec<CameraIndex> {
+        let cameras = CameraIndex::first(self.cameras.len()).zip(&self.cameras);
+        cameras
+            .filter_map(|(index, camera)| (camera.role == CameraRole::Source).then_some(index))
+            .collect()
     }
 
     /// The times at which a field must be known to score this clip: source, query and anchor frames, ascending.
     #[must_use]
-    pub fn field_frames(&self) -> Vec<u32> {
-        let mut frames: Vec<u32> = self.source_frames.iter().chain(&self.query_frames).copied().collect();
+    pub fn field_frames(&self) -> Vec<FrameIndex> {
+        let mut frames: Vec<FrameIndex> = self.source_frames.iter().chain(&self.query_frames).copied().collect();
         frames.push(self.anchor_frame);
         frames.sort_unstable();
         frames.dedup();
@@ -199,18 +201,18 @@ impl Clip {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct SourceView {
     /// Index into the clip's cameras.
-    pub camera: u32,
+    pub camera: CameraIndex,
     /// Clip frame.
-    pub frame: u32,
+    pub frame: FrameIndex,
 }
 
 /// Normalised time in [0, 1] of a clip frame: frame / (frame count - 1), so that 17 frames give k/16 exactly.
 #[must_use]
-pub fn time_of_frame(frame: u32, frame_count: usize) -> f64 {
+pub fn time_of_frame(frame: FrameIndex, frame_count: usize) -> f64 {
     if frame_count <= 1 {
         0.0
     } else {
-        f64::from(frame) / (frame_count - 1) as f64
+        f64::from(frame.0) / (frame_count - 1) as f64
     }
 }
 
@@ -229,7 +231,7 @@ impl Clip {
         ascending_frames("source frames", &self.source_frames, frames)?;
         ascending_frames("query frames", &self.query_frames, frames)?;
         ensure(!self.source_frames.is_empty(), || "there is no source frame".into())?;
-        ensure((self.anchor_frame as usize) < frames, || {
+        ensure(self.anchor_frame.at() < frames, || {
             format!("anchor frame {} of {frames}", self.anchor_frame)
         })?;
         ensure((1..=255).contains(&self.cameras.len()), || {
@@ -265,7 +267,7 @@ impl Clip {
             format!("focal lengths {fx} and {fy} are not above 0")
         })?;
         if let Some(partner) = camera.partner {
-            let other = self.cameras.get(partner as usize);
+            let other = self.cameras.get(partner.at());
             ensure(other.is_some_and(|other| other.role == CameraRole::Source), || {
                 format!("its partner {partner} is not a source camera")
             })?;
@@ -295,7 +297,7 @@ impl Clip {
 
     fn check_tracks(&self, tracks: &Tracks, frames: usize) -> Check {
         let points = tracks.camera.len();
-        ensure((tracks.anchor_frame as usize) < frames, || {
+        ensure(tracks.anchor_frame.at() < frames, || {
             format!("track anchor {} of {frames}", tracks.anchor_frame)
         })?;
         count("track pixels", tracks.pixel.len(), product("tracks", &[points, 2])?)?;
@@ -310,8 +312,8 @@ impl Clip {
             product("tracks", &[points, frames])?,
         )?;
         binary("track visibility", &tracks.visible)?;
-        let cameras = self.cameras.len() as u32;
-        ensure(tracks.camera.iter().all(|&camera| camera < cameras), || {
+        let cameras = self.cameras.len();
+        ensure(tracks.camera.iter().all(|camera| camera.at() < cameras), || {
             format!("a track lies in a camera that is not among the {cameras}")
         })
     }

@@ -3,6 +3,7 @@
 use super::check::{Check, area, ascending_frames, binary, count, ensure, product};
 use super::clip::SourceView;
 use crate::ids::ClipId;
+use crate::index::FrameIndex;
 
 /// Channels of a dense conditioning map: support, mesh depth (m), FK displacement x, y, z (iu), availability, prior.
 pub const KAPPA_CHANNELS: usize = 7;
@@ -33,7 +34,7 @@ pub struct Conditioning {
     /// Source views in token order. `[S]`
     pub views: Vec<SourceView>,
     /// Clip frames for which displacements are stored, ascending (see `Clip::field_frames`). `[Q]`
-    pub query_frames: Vec<u32>,
+    pub query_frames: Vec<FrameIndex>,
     /// Per source view. `[S]`
     pub view_maps: Vec<ViewConditioning>,
 }

@@ -117,7 +117,7 @@ impl Field {
     pub fn check(&self) -> Check {
         let total = product("Gaussians", &[area(self.height, self.width)?, self.views.len()])?;
         ensure(self.frame_count > 0, || "the clip has no frames".into())?;
-        ensure(self.views.iter().all(|view| view.frame < self.frame_count), || {
+        ensure(self.views.iter().all(|view| view.frame.0 < self.frame_count), || {
             format!("a source view lies beyond the {} frames", self.frame_count)
         })?;
         pose("recon_from_base", &self.recon_from_base)?;

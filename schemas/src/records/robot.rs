@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::check::{Check, area, binary, count, ensure, finite, pose};
 use crate::ids::ClipId;
+use crate::index::{CameraIndex, FrameIndex};
 use crate::pose::RigidPose;
 
 /// Written by `robot-maps`: link transforms, resolved camera poses, mesh depth and link ids.
@@ -36,9 +37,9 @@ pub const NO_LINK: u8 = 255;
 #[derive(Debug, Clone, PartialEq)]
 pub struct RobotMap {
     /// Index into the clip's cameras.
-    pub camera: u32,
+    pub camera: CameraIndex,
     /// Clip frame.
-    pub frame: u32,
+    pub frame: FrameIndex,
     /// Camera-z depth of the mesh at the pixel centre, metres; 0 where nothing is hit. `[H, W]`
     pub depth_m: Vec<f32>,
     /// Link id, [`NO_LINK`] where nothing is hit. `[H, W]`
@@ -121,7 +122,7 @@ impl RobotMaps {
                 support,
             } = map;
             let here = |what: String| format!("map of camera {camera}, frame {frame}: {what}");
-            ensure((*camera as usize) < cameras && (*frame as usize) < frames, || {
+            ensure(camera.at() < cameras && frame.at() < frames, || {
                 here(format!("there are {cameras} cameras and {frames} frames"))
             })?;
             for (what, length) in [

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::check::{Check, area, count};
 use super::field::WeightsInfo;
 use crate::ids::ClipId;
+use crate::index::FrameIndex;
 use crate::records::origin::ReferenceUse;
 
 /// Written by `score`. A metric that cannot be measured is `None`, never 0 (`docs/spec/scoring.md` section 11).
@@ -54,7 +55,7 @@ pub struct ImageScore {
     /// True for source cameras, false for held-out (novel) ones.
     pub source_view: bool,
     /// Clip frame.
-    pub frame: u32,
+    pub frame: FrameIndex,
     /// PSNR, dB.
     pub psnr: Option<f64>,
     /// SSIM.
@@ -79,9 +80,9 @@ pub struct ImageScore {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TrackScore {
     /// Anchor clip frame.
-    pub anchor: u32,
+    pub anchor: FrameIndex,
     /// Query clip frame.
-    pub frame: u32,
+    pub frame: FrameIndex,
     /// End-point error of displacements, millimetres.
     pub epe_mm: Option<f64>,
     /// Tracks it was pooled over.
@@ -92,7 +93,7 @@ pub struct TrackScore {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RobotDepthScore {
     /// Query clip frame.
-    pub frame: u32,
+    pub frame: FrameIndex,
     /// Mean absolute depth error on the robot core, millimetres.
     pub robot_depth_mm: Option<f64>,
     /// Pixels of the core.
@@ -105,7 +106,7 @@ pub struct RenderedView {
     /// Camera id.
     pub camera: String,
     /// Clip frame.
-    pub frame: u32,
+    pub frame: FrameIndex,
     /// Height, pixels.
     pub height: u32,
     /// Width, pixels.

@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 use rogs_geometry::{Base, Link, Pose, PosedCamera, Recon};
+use rogs_schemas::FrameIndex;
 use rogs_schemas::records::clip::{Clip, SourceView};
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::robot::{RobotMap, RobotMaps};
@@ -33,7 +34,7 @@ pub fn build(clip: &Clip, robot: &RobotMaps, params: &Params) -> StageResult<Con
     let frames = clip.frame_count();
     let scene = Scene::new(clip, robot)?;
     let query_frames = clip.field_frames();
-    if let Some(frame) = query_frames.iter().find(|&&frame| frame as usize >= frames) {
+    if let Some(frame) = query_frames.iter().find(|frame| frame.at() >= frames) {
         return Err(StageError::bad_input(format!(
             "query frame {frame} is not in the clip's {frames} frames"
         )));
@@ -110,10 +111,9 @@ impl<'a> Scene<'a> {
         })
     }
 
-    fn view(&self, view: &SourceView, query_frames: &[u32], params: &Params) -> StageResult<ViewConditioning> {
+    fn view(&self, view: &SourceView, query_frames: &[FrameIndex], params: &Params) -> StageResult<ViewConditioning> {
         let map = self.map(view)?;
-        let camera =
-            PosedCamera::of_clip(self.clip, self.robot, view.camera as usize, view.frame as usize).map_err(bad_pose)?;
+        let camera = PosedCamera::of_clip(self.clip, self.robot, view.camera, view.frame).map_err(bad_pose)?;
         let in_recon = camera.in_frame(&self.recon_from_base);
         let points = SourcePoints::new(&in_recon, &map.depth_m, &map.link, &map.support);
         let links = self.robot.link_names.len();
@@ -162,9 +162,9 @@ impl<'a> Scene<'a> {
         })
     }
 
-    fn displacements(&self, source: u32, query: u32) -> Vec<LinkDisplacement> {
+    fn displacements(&self, source: FrameIndex, query: FrameIndex) -> Vec<LinkDisplacement> {
         let links = self.robot.link_names.len();
-        let at = |frame: u32| &self.recon_from_link[frame as usize * links..(frame as usize + 1) * links];
+        let at = |frame: FrameIndex| &self.recon_from_link[frame.at() * links..(frame.at() + 1) * links];
         at(source)
             .iter()
             .zip(at(query))
@@ -172,8 +172,8 @@ impl<'a> Scene<'a> {
             .collect()
     }
 
-    fn prior(&self, camera: &PosedCamera<Base>, frame: u32, params: &Params) -> GripperPrior {
-        let start = frame as usize * 3;
+    fn prior(&self, camera: &PosedCamera<Base>, frame: FrameIndex, params: &Params) -> GripperPrior {
+        let start = frame.at() * 3;
         let tool = glam::DVec3::from_slice(&self.robot.tool_m[start..start + 3]);
         let in_camera = camera.world_from_camera.inverse().point(tool);
         let centre = camera

@@ -11,7 +11,7 @@ use rogs_geometry::{Base, Camera, Link, Pose, Recon};
 use rogs_robot_maps::{SupportRule, valid_support};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates, SourceView};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
-use rogs_schemas::{Intrinsics, RigidPose};
+use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex, Intrinsics, RigidPose};
 use tensors::Tensors;
 
 const H: usize = 28;
@@ -84,10 +84,10 @@ fn records(file: &Tensors) -> (Clip, RobotMaps) {
         task: String::new(),
         calibration_note: String::new(),
         fps: 1.0,
-        episode_frames: vec![0, 1, 2],
-        source_frames: vec![0, 1],
-        query_frames: vec![2],
-        anchor_frame: 0,
+        episode_frames: [0, 1, 2].map(EpisodeFrame).to_vec(),
+        source_frames: [0, 1].map(FrameIndex).to_vec(),
+        query_frames: [2].map(FrameIndex).to_vec(),
+        anchor_frame: FrameIndex(0),
         height: H as u32,
         width: W as u32,
         cameras: (0..4).map(clip_camera).collect(),
@@ -109,8 +109,8 @@ fn records(file: &Tensors) -> (Clip, RobotMaps) {
             .iter()
             .map(|&id| if (0.0..3.0).contains(&id) { id as u8 } else { NO_LINK });
         RobotMap {
-            camera: index as u32,
-            frame: frame as u32,
+            camera: CameraIndex(index as u32),
+            frame: FrameIndex(frame as u32),
             depth_m: depth[range.clone()].to_vec(),
             link: link.collect(),
             support: support[range].iter().map(|&value| value as u8).collect(),
@@ -147,11 +147,15 @@ fn kappa_agrees_channel_by_channel() {
     let conditioning = build(&clip, &robot, &Params::default()).unwrap();
     let times = file.values("time_of_frame");
     let kappa = file.values("kappa");
-    let query = conditioning.query_frames.iter().position(|&frame| frame == 2).unwrap();
+    let query = conditioning
+        .query_frames
+        .iter()
+        .position(|&frame| frame == FrameIndex(2))
+        .unwrap();
     for index in 0..4usize {
         let wanted = SourceView {
-            camera: index as u32,
-            frame: times[index] as u32,
+            camera: CameraIndex(index as u32),
+            frame: FrameIndex(times[index] as u32),
         };
         let view = conditioning.views.iter().position(|view| *view == wanted).unwrap();
         let dense = conditioning.dense(view, query);

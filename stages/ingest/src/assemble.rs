@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Tracks};
-use rogs_schemas::{ClipId, RigidPose};
+use rogs_schemas::{CameraIndex, ClipId, EpisodeFrame, FrameIndex, RigidPose};
 use rogs_worker::{StageError, StageResult};
 
 use crate::params::{Params, QueryChoice, QueryPlanName};
@@ -10,29 +10,30 @@ use crate::resize::Mapping;
 use crate::source::{Source, SourceCamera, SourceMount, SourceTracks, States};
 
 /// First frame of the paper's interval in a cached DROID episode (cached frames 7 to 23).
-const PAPER_START: u32 = 7;
+const PAPER_START: EpisodeFrame = EpisodeFrame(7);
 
 /// The interval of a clip in its episode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Interval {
-    start: u32,
+    start: EpisodeFrame,
     step: u32,
     count: u32,
 }
 
 impl Interval {
-    fn frames(self) -> impl Iterator<Item = u32> {
-        (0..self.count).map(move |index| self.start + index * self.step)
+    fn frames(self) -> impl Iterator<Item = EpisodeFrame> {
+        (0..self.count).map(move |index| EpisodeFrame(self.start.0 + index * self.step))
     }
 
     fn triple(self) -> (u32, u32, u32) {
-        (self.start, self.step, self.count)
+        (self.start.0, self.step, self.count)
     }
 
     /// The clip frame of an episode frame.
-    fn clip_frame(self, frame: u32) -> Option<u32> {
-        let behind = frame.checked_sub(self.start)?;
-        (behind.is_multiple_of(self.step) && behind / self.step < self.count).then_some(behind / self.step)
+    fn clip_frame(self, frame: EpisodeFrame) -> Option<FrameIndex> {
+        let behind = frame.0.checked_sub(self.start.0)?;
+        let index = behind / self.step;
+        (behind.is_multiple_of(self.step) && index < self.count).then_some(FrameIndex(index))
     }
 }
 
@@ -55,15 +56,17 @@ pub(crate) fn assemble(mut source: Source, params: &Params, clip_id: ClipId) -> 
         None => None,
         Some(tracks) => make_tracks(tracks, &chosen, &source, interval, params, &mut warnings)?,
     };
-    let first_source = params.source_frames.first().copied().unwrap_or(0);
+    let first_source = params.source_frames.first().copied().unwrap_or_default();
     let anchor_frame = params
         .anchor_frame
         .or(tracks.as_ref().map(|tracks| tracks.anchor_frame))
         .unwrap_or(first_source);
     let query_frames = match &params.query {
-        QueryChoice::Plan(QueryPlanName::All) => (0..params.frames).collect(),
+        QueryChoice::Plan(QueryPlanName::All) => FrameIndex::first(params.frames as usize).collect(),
         QueryChoice::Plan(QueryPlanName::Paper) => {
-            rogs_random::query_plan(&source.episode_id, params.frames, &params.source_frames).distinct
+            let sources: Vec<u32> = params.source_frames.iter().map(|frame| frame.0).collect();
+            let plan = rogs_random::query_plan(&source.episode_id, params.frames, &sources);
+            plan.distinct.into_iter().map(FrameIndex).collect()
         }
         QueryChoice::Frames(frames) => {
             let mut frames = frames.clone();
@@ -96,11 +99,11 @@ pub(crate) fn assemble(mut source: Source, params: &Params, clip_id: ClipId) -> 
 fn interval(source: &Source, params: &Params) -> StageResult<Interval> {
     let (step, count) = (params.frame_step, params.frames);
     let span = u64::from(count - 1) * u64::from(step) + 1;
-    let fits = |start: u32| u64::from(start) + span <= u64::from(source.frame_count);
+    let fits = |start: EpisodeFrame| u64::from(start.0) + span <= u64::from(source.frame_count);
     let policy = || match &source.tracks {
         Some(tracks) if fits(tracks.anchor_frame) => tracks.anchor_frame,
         None if fits(PAPER_START) => PAPER_START,
-        _ => 0,
+        _ => EpisodeFrame(0),
     };
     let start = params.start_frame.unwrap_or_else(policy);
     if !fits(start) {
@@ -108,7 +111,7 @@ fn interval(source: &Source, params: &Params) -> StageResult<Interval> {
             "episode `{}` has {} frames, a clip of {count} frames from frame {start} in steps of {step} needs {}",
             source.episode_id,
             source.frame_count,
-            u64::from(start) + span
+            u64::from(start.0) + span
         );
         return Err(StageError::bad_input(text)
             .with_hint("set `start_frame`, `frames` or `frame_step` to what the episode has"));
@@ -117,7 +120,7 @@ fn interval(source: &Source, params: &Params) -> StageResult<Interval> {
 }
 
 /// Applies the choice of cameras, puts sources first and returns for every camera of the episode its place in the clip.
-fn choose_cameras(source: &mut Source, params: &Params) -> StageResult<Vec<Option<u32>>> {
+fn choose_cameras(source: &mut Source, params: &Params) -> StageResult<Vec<Option<CameraIndex>>> {
     let names: Vec<String> = source.cameras.iter().map(|camera| camera.id.clone()).collect();
     let mut renamed = names.clone();
     if !params.cameras.is_empty() && !source.cameras_chosen {
@@ -161,7 +164,7 @@ fn choose_cameras(source: &mut Source, params: &Params) -> StageResult<Vec<Optio
             .cameras
             .iter()
             .position(|camera| camera.id == *name)
-            .map(|place| place as u32)
+            .map(|place| CameraIndex(place as u32))
     };
     Ok(renamed.iter().map(place).collect())
 }
@@ -215,7 +218,7 @@ fn make_camera(
                     camera.id
                 ));
             }
-            found.map(|position| position as u32)
+            found.map(|position| CameraIndex(position as u32))
         }
     };
     let mount = match &camera.mount {
@@ -227,7 +230,7 @@ fn make_camera(
             link_from_camera: *link_from_camera,
         },
         SourceMount::Trajectory(poses) => {
-            let pose = |frame: u32| poses.get(frame as usize).copied();
+            let pose = |frame: EpisodeFrame| poses.get(frame.at()).copied();
             let poses: Option<Vec<RigidPose>> = interval.frames().map(pose).collect();
             let missing = || StageError::bad_input(format!("the trajectory of camera `{}` is too short", camera.id));
             CameraMount::Trajectory {
@@ -252,22 +255,22 @@ fn make_camera(
 
 fn make_states(states: &States, interval: Interval) -> RobotStates {
     let joints = states.joint_names.len();
-    let row = |frame: u32| {
-        states.positions[frame as usize * joints..(frame as usize + 1) * joints]
+    let row = |frame: EpisodeFrame| {
+        states.positions[frame.at() * joints..(frame.at() + 1) * joints]
             .iter()
             .copied()
     };
     RobotStates {
         joint_names: states.joint_names.clone(),
         positions: interval.frames().flat_map(row).collect(),
-        gripper: interval.frames().map(|frame| states.gripper[frame as usize]).collect(),
+        gripper: interval.frames().map(|frame| states.gripper[frame.at()]).collect(),
     }
 }
 
 /// The tracks whose anchor pixel is in the clip's image; `None` when their anchor frame is not in the clip.
 fn make_tracks(
     tracks: &SourceTracks,
-    places: &[Option<u32>],
+    places: &[Option<CameraIndex>],
     source: &Source,
     interval: Interval,
     params: &Params,
@@ -299,7 +302,7 @@ fn make_tracks(
             ))
         })?;
         let Some(place) = place else { continue };
-        let of = &source.cameras[place as usize];
+        let of = &source.cameras[place.at()];
         let mapping = Mapping::new((of.width, of.height), (params.width, params.height), params.fit);
         let recorded = [0, 1].map(|axis| f64::from(tracks.pixel[2 * index + axis]) + of.pixel_shift);
         // The clip keeps anchor pixels with integer centres.
@@ -311,7 +314,7 @@ fn make_tracks(
         kept.camera.push(place);
         kept.pixel.extend(pixel);
         for frame in interval.frames() {
-            let at = index * frames + frame as usize;
+            let at = index * frames + frame.at();
             kept.position_m
                 .extend_from_slice(&tracks.position_m[3 * at..3 * at + 3]);
             kept.visible.push(tracks.visible[at]);

@@ -1,5 +1,6 @@
 //! Parameters of the stage.
 
+use rogs_schemas::{EpisodeFrame, FrameIndex};
 use rogs_worker::{StageError, StageResult};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -15,18 +16,18 @@ pub struct Params {
     pub episode: String,
     /// Episode frame that becomes clip frame 0. `null`: the anchor frame of the episode's tracks where it has tracks;
     /// else 7 (the first frame of the paper's interval) when the clip still fits behind it; else 0.
-    pub start_frame: Option<u32>,
+    pub start_frame: Option<EpisodeFrame>,
     /// Frames of the clip.
     pub frames: u32,
     /// Episode frames from one clip frame to the next.
     pub frame_step: u32,
     /// Source times, clip frames.
-    pub source_frames: Vec<u32>,
+    pub source_frames: Vec<FrameIndex>,
     /// Query times.
     pub query: QueryChoice,
     /// Anchor time of displacement scores, a clip frame. `null`: that of the tracks where there are tracks, else the
     /// first source time.
-    pub anchor_frame: Option<u32>,
+    pub anchor_frame: Option<FrameIndex>,
     /// Image height of the clip, pixels.
     pub height: u32,
     /// Image width of the clip, pixels.
@@ -50,7 +51,7 @@ impl Default for Params {
             start_frame: None,
             frames: 17,
             frame_step: 1,
-            source_frames: vec![0, 4, 8, 12, 16],
+            source_frames: [0, 4, 8, 12, 16].map(FrameIndex).to_vec(),
             query: QueryChoice::Plan(QueryPlanName::Paper),
             anchor_frame: None,
             height: 154,
@@ -85,7 +86,7 @@ pub enum QueryChoice {
     /// A named plan.
     Plan(QueryPlanName),
     /// These clip frames.
-    Frames(Vec<u32>),
+    Frames(Vec<FrameIndex>),
 }
 
 /// Named query plans.
@@ -169,7 +170,7 @@ impl Params {
         let sources = &self.source_frames;
         if sources.is_empty()
             || !sources.is_sorted_by(|a, b| a < b)
-            || sources.last().is_some_and(|&s| s >= self.frames)
+            || sources.last().is_some_and(|last| last.0 >= self.frames)
         {
             return wrong(format!(
                 "`source_frames` {sources:?} must ascend below `frames` {}",
@@ -177,11 +178,11 @@ impl Params {
             ));
         }
         if let QueryChoice::Frames(frames) = &self.query
-            && let Some(frame) = frames.iter().find(|&&frame| frame >= self.frames)
+            && let Some(frame) = frames.iter().find(|frame| frame.0 >= self.frames)
         {
             return wrong(format!("`query` frame {frame} is not below `frames` {}", self.frames));
         }
-        if self.anchor_frame.is_some_and(|anchor| anchor >= self.frames) {
+        if self.anchor_frame.is_some_and(|anchor| anchor.0 >= self.frames) {
             return wrong(format!("`anchor_frame` is not below `frames` {}", self.frames));
         }
         if let Some([near, far]) = self.depth_range_m

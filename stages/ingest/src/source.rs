@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use rogs_schemas::records::clip::CameraRole;
 use rogs_schemas::records::origin::ReferenceOrigin;
-use rogs_schemas::{Intrinsics, RigidPose};
+use rogs_schemas::{EpisodeFrame, Intrinsics, RigidPose};
 
 use crate::images::FrameSource;
 
@@ -89,7 +89,7 @@ pub(crate) struct States {
 #[derive(Debug)]
 pub(crate) struct SourceTracks {
     /// Episode frame.
-    pub(crate) anchor_frame: u32,
+    pub(crate) anchor_frame: EpisodeFrame,
     /// Index into the episode's cameras. `[K]`
     pub(crate) camera: Vec<u32>,
     /// `[K, 2]`

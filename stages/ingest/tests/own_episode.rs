@@ -13,6 +13,7 @@ use rogs_schemas::episode::{Episode, EpisodeMount};
 use rogs_schemas::protocol::FailureCode;
 use rogs_schemas::records::clip::{CameraMount, CameraRole};
 use rogs_schemas::records::origin::ReferenceOrigin;
+use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex};
 
 /// The clip at the recorded size.
 fn params() -> Params {
@@ -30,14 +31,17 @@ fn everything_arrives() {
     let (clip, warnings) = read_clip(&scratch.0, None, &params(), "clip").unwrap();
     assert_eq!(warnings, Vec::<String>::new());
     // The interval begins at the anchor of the tracks.
-    assert_eq!(clip.episode_frames, (2..19).collect::<Vec<u32>>());
+    assert_eq!(clip.episode_frames, (2..19).map(EpisodeFrame).collect::<Vec<_>>());
     assert_eq!(
         (clip.anchor_frame, clip.fps, clip.layout.as_str()),
-        (0, 15.0, "rogs-episode")
+        (FrameIndex(0), 15.0, "rogs-episode")
     );
     assert_eq!(clip.episode_id, "LAB+a+2026-01-31-12h:00m");
     let plan = rogs_random::query_plan(&clip.episode_id, 17, &[0, 4, 8, 12, 16]);
-    assert_eq!(clip.query_frames, plan.distinct);
+    assert_eq!(
+        clip.query_frames,
+        plan.distinct.into_iter().map(FrameIndex).collect::<Vec<_>>()
+    );
     // States by column name, not by place.
     assert_eq!(clip.robot.joint_names, ["j1", "j2"]);
     assert_eq!(clip.robot.positions[..4], [0.02, -0.04, 0.03, -0.06]);
@@ -69,7 +73,7 @@ fn everything_arrives() {
     assert_eq!((base_from_camera.len(), base_from_camera[0].translation[0]), (17, 0.2));
     assert_eq!(
         (right.role, right.partner, ext1.partner),
-        (CameraRole::Evaluation, Some(1), None)
+        (CameraRole::Evaluation, Some(CameraIndex(1)), None)
     );
     assert_eq!(
         (ext1.intrinsics.cx, right.intrinsics.cx, right.intrinsics.cy),
@@ -89,7 +93,7 @@ fn everything_arrives() {
     let tracks = clip.tracks.as_ref().unwrap();
     assert_eq!(
         (&tracks.camera[..], &tracks.pixel[..]),
-        (&[0, 1, 1][..], &[10.0, 3.0, 39.0, 21.0, 0.0, 0.0][..])
+        (&[0, 1, 1].map(CameraIndex)[..], &[10.0, 3.0, 39.0, 21.0, 0.0, 0.0][..])
     );
     assert_eq!(tracks.position_m[..3], [6.0 * 0.001, 7.0 * 0.001, 8.0 * 0.001]);
     assert_eq!(
@@ -139,27 +143,31 @@ fn parameters_choose_frames_queries_and_cameras() {
         from: from.into(),
     };
     let chosen = Params {
-        start_frame: Some(1),
+        start_frame: Some(EpisodeFrame(1)),
         frames: 5,
         frame_step: 3,
-        source_frames: vec![0, 4],
+        source_frames: [0, 4].map(FrameIndex).to_vec(),
         query: QueryChoice::Plan(QueryPlanName::All),
-        anchor_frame: Some(4),
+        anchor_frame: Some(FrameIndex(4)),
         cameras: vec![choice("wrist", "ext1"), choice("right", "ext1_right")],
         depth_range_m: Some([0.3, 2.0]),
         ..params()
     };
     let (clip, warnings) = read_clip(&scratch.0, None, &chosen, "c").unwrap();
-    assert_eq!(clip.episode_frames, [1, 4, 7, 10, 13]);
+    assert_eq!(clip.episode_frames, [1, 4, 7, 10, 13].map(EpisodeFrame));
     assert_eq!(
         (clip.query_frames, clip.anchor_frame, clip.fps),
-        (vec![0, 1, 2, 3, 4], 4, 5.0)
+        (FrameIndex::first(5).collect(), FrameIndex(4), 5.0)
     );
     assert_eq!(
         (clip.cameras[0].id.as_str(), clip.cameras[1].id.as_str()),
         ("wrist", "right")
     );
-    assert_eq!(clip.cameras[1].partner, Some(0), "the partner's new name is followed");
+    assert_eq!(
+        clip.cameras[1].partner,
+        Some(CameraIndex(0)),
+        "the partner's new name is followed"
+    );
     assert_eq!(clip.cameras[0].depth.as_ref().unwrap().range_m, [0.3, 2.0]);
     assert!(
         warnings
@@ -169,7 +177,7 @@ fn parameters_choose_frames_queries_and_cameras() {
     );
     assert!(clip.tracks.is_none());
     let late = Params {
-        start_frame: Some(10),
+        start_frame: Some(EpisodeFrame(10)),
         ..params()
     };
     let error = read_clip(&scratch.0, None, &late, "c").unwrap_err();
@@ -261,7 +269,9 @@ fn damaged_descriptions_name_the_camera() {
     assert!(described("id", |e| e.episode_id = "a\nb".into()).contains("episode id"));
     assert!(described("fps", |e| e.fps = 0.0).contains("`fps` 0"));
     assert!(described("frames", |e| e.frame_count = 19).contains("there are more rows than the 19 frames"));
-    assert!(described("anchor", |e| e.tracks.as_mut().unwrap().anchor_frame = 20).contains("anchor frame 20"));
+    assert!(
+        described("anchor", |e| e.tracks.as_mut().unwrap().anchor_frame = EpisodeFrame(20)).contains("anchor frame 20")
+    );
     assert!(described("no-images", |e| e.cameras[0].images = None).contains("source camera `wrist`"));
     assert!(
         said("json", |folder| std::fs::write(folder.join("episode.json"), "{")

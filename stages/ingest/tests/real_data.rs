@@ -10,6 +10,7 @@ use common::Scratch;
 use rogs_ingest::{CameraChoice, Params, StateColumns, list_episodes, read_clip};
 use rogs_needs::{needs, shared};
 use rogs_schemas::records::clip::{CameraMount, Clip};
+use rogs_schemas::{EpisodeFrame, FrameIndex};
 
 fn params(episode: &str) -> Params {
     Params {
@@ -43,7 +44,7 @@ fn the_calibrated_droid_episode_becomes_a_clip() {
         (clip.episode_id.as_str(), clip.fps, clip.layout.as_str()),
         ("0007", 4.0, "droid-ctrlworld")
     );
-    assert_eq!(clip.episode_frames, (7..24).collect::<Vec<u32>>());
+    assert_eq!(clip.episode_frames, (7..24).map(EpisodeFrame).collect::<Vec<_>>());
     assert_eq!((clip.cameras.len(), clip.robot.joint_names.len()), (3, 7));
     let [wrist, ext1, _] = &clip.cameras[..] else {
         panic!("three cameras")
@@ -80,18 +81,18 @@ fn the_calibrated_droid_episode_becomes_a_clip() {
 fn frames_are_those_of_their_number() {
     let root = shared!("data/droid_ctrlworld/new_setup");
     let late = Params {
-        start_frame: Some(12),
+        start_frame: Some(EpisodeFrame(12)),
         frames: 3,
-        source_frames: vec![0],
+        source_frames: [0].map(FrameIndex).to_vec(),
         ..params("0007")
     };
     let (late, _) = read_clip(&root, None, &late, "c").unwrap();
     let (all, _) = read_clip(&root, None, &params("0007"), "c").unwrap();
     let step = Params {
-        start_frame: Some(7),
+        start_frame: Some(EpisodeFrame(7)),
         frames: 3,
         frame_step: 5,
-        source_frames: vec![0],
+        source_frames: [0].map(FrameIndex).to_vec(),
         ..params("0007")
     };
     let (step, _) = read_clip(&root, None, &step, "c").unwrap();
@@ -245,7 +246,7 @@ fn lerobot_v21_with_av1_goes_as_far_as_its_data() {
     .unwrap();
     assert_eq!(
         (clip.robot.joint_names.clone(), clip.fps, clip.episode_frames[0]),
-        (joints, 30.0, 7)
+        (joints, 30.0, EpisodeFrame(7))
     );
     let [red, green, blue] = mean(&clip, 0, 0);
     assert!(

@@ -8,6 +8,7 @@
 use glam::{DQuat, DVec3};
 use rogs_field::attributes::rescaled;
 use rogs_geometry::{Camera, Pose, Recon, Similarity, pixel_centre, quaternion_product, wxyz_f32};
+use rogs_schemas::CameraIndex;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::{RAW_CHANNELS, TimeSlice};
 use rogs_schemas::units::UNITS_PER_METRE;
@@ -28,7 +29,7 @@ struct Transport {
 
 /// Lifts every camera by itself; base field and slices of all of them in the order of the views.
 pub(crate) fn lift(all: &mut Lifting<'_>, source: &Source<'_>) -> StageResult<(Base, Vec<TimeSlice>)> {
-    let mut cameras: Vec<u32> = source.views.iter().map(|view| view.view.camera).collect();
+    let mut cameras: Vec<CameraIndex> = source.views.iter().map(|view| view.view.camera).collect();
     cameras.dedup();
     let mut merged: Option<(Base, Vec<TimeSlice>)> = None;
     for (done, &camera) in cameras.iter().enumerate() {
@@ -66,7 +67,7 @@ pub(crate) fn lift(all: &mut Lifting<'_>, source: &Source<'_>) -> StageResult<(B
 }
 
 /// The views of one camera, relative to the first of them and of unit size, and the way back.
-fn alone<'a>(source: &Source<'a>, camera: u32) -> StageResult<(Source<'a>, Transport)> {
+fn alone<'a>(source: &Source<'a>, camera: CameraIndex) -> StageResult<(Source<'a>, Transport)> {
     let mut views: Vec<View<'a>> = source
         .views
         .iter()
@@ -103,7 +104,7 @@ fn alone<'a>(source: &Source<'a>, camera: u32) -> StageResult<(Source<'a>, Trans
 
 /// Mean distance from the origin of the stereo points of some views of one camera, internal units.
 fn stereo_scale_iu(clip: &Clip, views: &[View<'_>]) -> StageResult<f64> {
-    let camera = &clip.cameras[views[0].view.camera as usize];
+    let camera = &clip.cameras[views[0].view.camera.at()];
     let missing = |what: &str| {
         StageError::bad_input(format!(
             "camera-wise lifting needs stereo depth of camera `{}`: {what}",
@@ -117,7 +118,7 @@ fn stereo_scale_iu(clip: &Clip, views: &[View<'_>]) -> StageResult<f64> {
     let (width, area) = (clip.width as usize, (clip.height * clip.width) as usize);
     let (mut sum, mut count) = (0.0, 0usize);
     for view in views {
-        let start = view.view.frame as usize * area;
+        let start = view.view.frame.at() * area;
         let stored = depth
             .depth_m
             .get(start..start + area)

@@ -9,6 +9,7 @@
 use std::path::Path;
 
 use burn::tensor::{Device, Tensor};
+use rogs_schemas::CameraIndex;
 use rogs_stage1::Stage1;
 use rogs_stage1::adapter::{LATENT_CHANNELS, LatentAdapter, to_token_cells};
 use rogs_tensors::parameters::resident;
@@ -101,7 +102,7 @@ pub(crate) fn cells(
     let (height, width) = (source.clip.height as usize, source.clip.width as usize);
     let grid = network.config.grid(height, width).map_err(stage_error)?;
     let mut cells = Vec::with_capacity(source.views.len());
-    let mut region: Option<(u32, Region)> = None;
+    let mut region: Option<(CameraIndex, Region)> = None;
     for view in &source.views {
         let camera = view.view.camera;
         if region.as_ref().is_none_or(|(known, _)| *known != camera) {
@@ -109,8 +110,8 @@ pub(crate) fn cells(
         }
         let Some((_, region)) = &region else { continue };
         let frame = view.view.frame;
-        let time = (frame / file.temporal_stride) as usize;
-        if frame % file.temporal_stride != 0 || time >= region.times {
+        let time = (frame.0 / file.temporal_stride) as usize;
+        if !frame.0.is_multiple_of(file.temporal_stride) || time >= region.times {
             return Err(file.bad(format!(
                 "source frame {frame} has no latent: the file has {} times, one every {} frames",
                 region.times, file.temporal_stride
@@ -125,7 +126,8 @@ pub(crate) fn cells(
         cells.push(to_token_cells(one, grid).map_err(|error| {
             file.bad(format!(
                 "camera `{}`, stride {}: {error}",
-                source.clip.cameras[camera as usize].id, file.stride
+                source.clip.cameras[camera.at()].id,
+                file.stride
             ))
         })?);
     }
@@ -175,10 +177,10 @@ impl LatentFile {
     }
 
     /// The latents of one camera, normalised.
-    fn region(&self, source: &Source<'_>, camera: u32) -> StageResult<Region> {
+    fn region(&self, source: &Source<'_>, camera: CameraIndex) -> StageResult<Region> {
         let mut region = match self.text("layout")? {
             "per_camera" => {
-                let name = format!("latents.{}", source.clip.cameras[camera as usize].id);
+                let name = format!("latents.{}", source.clip.cameras[camera.at()].id);
                 let (values, [times, rows, columns]) = self.tensor(&name)?;
                 Region {
                     values,
@@ -209,7 +211,7 @@ impl LatentFile {
     }
 
     /// The part of a composite that shows one camera (`docs/spec/latents.md` section 2).
-    fn crop(&self, source: &Source<'_>, camera: u32) -> StageResult<Region> {
+    fn crop(&self, source: &Source<'_>, camera: CameraIndex) -> StageResult<Region> {
         let cameras = source.clip.source_cameras();
         let place = cameras.iter().position(|&known| known == camera);
         let (Some(place), 3) = (place, cameras.len()) else {

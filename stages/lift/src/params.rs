@@ -1,7 +1,7 @@
 //! Parameters of the stage; the defaults are the paper's method.
 
 use rogs_field::gates::{MOTION_GATE_IU, MotionGates};
-use rogs_schemas::Device;
+use rogs_schemas::{Device, FrameIndex};
 use rogs_stage1::Precision;
 use rogs_worker::{StageError, StageResult};
 use schemars::JsonSchema;
@@ -33,7 +33,7 @@ pub struct LiftParams {
     /// Area-downsample the source images by this factor and restore their size (1: leave them).
     pub rgb_downsample: u32,
     /// Source times to use, clip frames; null for all of the clip.
-    pub source_frames: Option<Vec<u32>>,
+    pub source_frames: Option<Vec<FrameIndex>>,
     /// Whether the field keeps what is needed to be asked at other times.
     pub query_state: QueryState,
     /// Precision of the large matrix products of encoder and aggregator.
@@ -226,7 +226,9 @@ mod tests {
         let error = rogs_worker::parse_params::<LiftParams>(&serde_json::json!({"device": "gup"})).unwrap_err();
         assert!(error.message.contains("did you mean `gpu`?"), "{}", error.message);
         if cfg!(not(feature = "gpu")) {
-            let error = crate::load_model(&on(Device::Gpu, ProductPrecision::F32), None).err().unwrap();
+            let error = crate::load_model(&on(Device::Gpu, ProductPrecision::F32), None)
+                .err()
+                .unwrap();
             assert!(error.message.contains("feature `gpu`"), "{}", error.message);
         }
     }

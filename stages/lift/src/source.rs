@@ -2,11 +2,11 @@
 
 use burn::tensor::{Device, Tensor};
 use rogs_geometry::{Base, Frame, LinkMotions, LinkPoses, Pinhole, Pose, PosedCamera, Recon};
-use rogs_schemas::RigidPose;
 use rogs_schemas::records::clip::{Clip, SourceView, time_of_frame};
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::units::LengthUnit;
+use rogs_schemas::{FrameIndex, RigidPose};
 use rogs_stage1::{Attention, NetworkCamera, SourceFrames};
 use rogs_tensors::parameters::from_host;
 use rogs_worker::{StageError, StageResult};
@@ -108,7 +108,7 @@ impl<'a> Source<'a> {
         let attention = match params.attention {
             CrossCamera::Joint | CrossCamera::CameraWise => Attention::Joint,
             CrossCamera::WithinCamera => {
-                Attention::WithinCamera(self.views.iter().map(|view| view.view.camera).collect())
+                Attention::WithinCamera(self.views.iter().map(|view| view.view.camera.0).collect())
             }
         };
         let frames = SourceFrames {
@@ -127,9 +127,14 @@ impl<'a> Source<'a> {
 
     /// How the robot moves from view `index` to a clip frame. `position_m` are the source positions of the view's pixels
     /// when they are not the mesh's own (no anchoring): the FK displacement is then taken at those.
-    pub(crate) fn robot_at(&self, index: usize, frame: u32, position_m: Option<&[f32]>) -> StageResult<RobotAtTime> {
+    pub(crate) fn robot_at(
+        &self,
+        index: usize,
+        frame: FrameIndex,
+        position_m: Option<&[f32]>,
+    ) -> StageResult<RobotAtTime> {
         let view = &self.views[index];
-        let at = |frame: u32| LinkPoses::at_frame(self.robot, frame).map_err(bad_pose);
+        let at = |frame: FrameIndex| LinkPoses::at_frame(self.robot, frame).map_err(bad_pose);
         let motions = at(frame)?.motion_from(&at(view.view.frame)?);
         let stored = &self.conditioning.query_frames;
         let query = stored.iter().position(|&stored| stored == frame).ok_or_else(|| {
@@ -201,7 +206,7 @@ fn gather<'a>(
     recon_from_base: &Pose<Recon, Base>,
     view: SourceView,
 ) -> StageResult<View<'a>> {
-    let (camera, frame) = (&clip.cameras[view.camera as usize], view.frame as usize);
+    let (camera, frame) = (&clip.cameras[view.camera.at()], view.frame.at());
     let missing = |what: &str| {
         StageError::bad_input(format!(
             "there is no {what} for camera `{}` at frame {frame}",
@@ -221,7 +226,7 @@ fn gather<'a>(
         .iter()
         .position(|other| *other == view)
         .ok_or_else(|| missing("conditioning"))?;
-    let posed = PosedCamera::of_clip(clip, robot, view.camera as usize, frame)
+    let posed = PosedCamera::of_clip(clip, robot, view.camera, view.frame)
         .map_err(bad_pose)?
         .in_frame(recon_from_base);
     Ok(View {

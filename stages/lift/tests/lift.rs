@@ -6,6 +6,7 @@ mod support;
 use rogs_lift::{
     CrossCamera, FieldQuery, LiftParams, Model, MotionOptions, ProductPrecision, RobotMotion, lift_clip, load_model,
 };
+use rogs_schemas::FrameIndex;
 use rogs_schemas::records::clip::DepthReference;
 use rogs_schemas::records::field::{Field, GATE_ATTRIBUTES, RAW_CHANNELS};
 use rogs_schemas::records::origin::ReferenceOrigin;
@@ -158,7 +159,7 @@ fn interventions_change_what_they_say_and_nothing_else() {
     let coarse = with(&|params| params.rgb_downsample = 8);
     assert_ne!(coarse.base_raw, base.base_raw);
 
-    let fewer = with(&|params| params.source_frames = Some(vec![4]));
+    let fewer = with(&|params| params.source_frames = Some(vec![FrameIndex(4)]));
     assert_eq!((fewer.views.len(), fewer.len()), (2, 2 * AREA));
 
     let gated = with(&|params| params.motion_gate_iu = 1e9);
@@ -274,11 +275,11 @@ fn inputs_that_do_not_belong_together_are_named() {
     assert!(fail(&params, &|inputs| inputs.robot.clip_id = "other".parse().unwrap()).contains("`other`"));
     assert!(fail(&params, &|inputs| inputs.clip.cameras[1].rgb = None).contains("ext1"));
     assert!(fail(&params, &|inputs| inputs.robot.maps.clear()).contains("robot map"));
-    assert!(fail(&params, &|inputs| inputs.conditioning.query_frames[1] = 3).contains("frame 1"));
+    assert!(fail(&params, &|inputs| inputs.conditioning.query_frames[1] = FrameIndex(3)).contains("frame 1"));
     assert!(
         fail(
             &LiftParams {
-                source_frames: Some(vec![2]),
+                source_frames: Some(vec![FrameIndex(2)]),
                 ..params.clone()
             },
             &|_| {}

@@ -101,7 +101,7 @@ fn view(clip: &Example, refinement: &Refinement, update: u32, view: usize) -> Re
         None => field,
     };
     let time = rogs_schemas::records::clip::time_of_frame(source.frame, clip.clip.frame_count());
-    let camera = PosedCamera::of_clip(&clip.clip, &clip.robot, source.camera as usize, source.frame as usize)?;
+    let camera = PosedCamera::of_clip(&clip.clip, &clip.robot, source.camera, source.frame)?;
     let camera = RasterCamera::new(&camera, LengthUnit::Internal);
     let image = render(&field.gaussians(time)?, &camera, &RasterConfig::default())?;
     Ok(image.rgb.into_iter().map(|value| value.clamp(0.0, 1.0)).collect())
@@ -111,11 +111,8 @@ fn view(clip: &Example, refinement: &Refinement, update: u32, view: usize) -> Re
 fn observed(clip: &Example, view: usize) -> Vec<f32> {
     let source = clip.field.views[view];
     let length = (SIZES.height * SIZES.width * 3) as usize;
-    let images = clip.clip.cameras[source.camera as usize]
-        .rgb
-        .as_deref()
-        .unwrap_or_default();
-    images[source.frame as usize * length..][..length]
+    let images = clip.clip.cameras[source.camera.at()].rgb.as_deref().unwrap_or_default();
+    images[source.frame.at() * length..][..length]
         .iter()
         .map(|&value| f32::from(value) / 255.0)
         .collect()

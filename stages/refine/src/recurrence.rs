@@ -1,6 +1,7 @@
 //! What a refinement starts from, and its state between two updates.
 
 use rogs_field::Correction;
+use rogs_schemas::FrameIndex;
 use rogs_schemas::key::CacheKey;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::Field;
@@ -36,6 +37,6 @@ pub(crate) struct Recurrence {
 }
 
 /// Name of the stored hidden state of a source time.
-pub(crate) fn state_name(frame: u32) -> String {
+pub(crate) fn state_name(frame: FrameIndex) -> String {
     format!("state.{frame:04}")
 }

@@ -5,6 +5,7 @@ use rogs_schemas::records::clip::{Clip, time_of_frame};
 use rogs_schemas::records::field::{Field, TimeSlice};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::units::LengthUnit;
+use rogs_schemas::{CameraIndex, FrameIndex};
 use rogs_splat::RasterCamera;
 use rogs_stage2::{FeatureMap, FeatureMaps, Refiner, TokenGrid};
 use rogs_worker::{StageError, StageResult};
@@ -12,7 +13,7 @@ use rogs_worker::{StageError, StageResult};
 /// One source time of a clip.
 pub(crate) struct SourceTime<'a> {
     /// Clip frame.
-    pub(crate) frame: u32,
+    pub(crate) frame: FrameIndex,
     /// The field at this time.
     pub(crate) slice: &'a TimeSlice,
     /// Tokens of the Gaussians that this time owns.
@@ -36,7 +37,7 @@ pub(crate) fn source_times<'a>(
     refiner: &Refiner,
 ) -> StageResult<Vec<SourceTime<'a>>> {
     check(clip, robot, field)?;
-    let mut frames: Vec<u32> = field.views.iter().map(|view| view.frame).collect();
+    let mut frames: Vec<FrameIndex> = field.views.iter().map(|view| view.frame).collect();
     frames.sort_unstable();
     frames.dedup();
     frames
@@ -50,7 +51,7 @@ fn source_time<'a>(
     robot: &RobotMaps,
     field: &'a Field,
     refiner: &Refiner,
-    frame: u32,
+    frame: FrameIndex,
 ) -> StageResult<SourceTime<'a>> {
     let (height, width) = (field.height as usize, field.width as usize);
     let time = time_of_frame(frame, clip.frame_count());
@@ -64,8 +65,8 @@ fn source_time<'a>(
     let mut cameras = Vec::with_capacity(views.len());
     let mut observed = Vec::with_capacity(views.len());
     for &view in &views {
-        let index = field.views[view].camera as usize;
-        let camera = &clip.cameras[index];
+        let index = field.views[view].camera;
+        let camera = &clip.cameras[index.at()];
         let Some(rgb) = &camera.rgb else {
             return Err(StageError::bad_input(format!(
                 "source camera `{}` has no images in the clip",
@@ -73,7 +74,7 @@ fn source_time<'a>(
             )));
         };
         let pixels = height * width * 3;
-        let image = &rgb[frame as usize * pixels..(frame as usize + 1) * pixels];
+        let image = &rgb[frame.at() * pixels..(frame.at() + 1) * pixels];
         let data = image.iter().map(|&value| f32::from(value) / 255.0).collect();
         observed.push(FeatureMap {
             height,
@@ -121,11 +122,7 @@ fn check(clip: &Clip, robot: &RobotMaps, field: &Field) -> StageResult<()> {
             robot.base_from_camera.len(),
             clip.cameras.len()
         )
-    } else if let Some(view) = field
-        .views
-        .iter()
-        .find(|view| view.camera as usize >= clip.cameras.len())
-    {
+    } else if let Some(view) = field.views.iter().find(|view| view.camera.at() >= clip.cameras.len()) {
         format!(
             "the field has a view of camera {}, the clip has {} cameras",
             view.camera,
@@ -144,10 +141,10 @@ pub(crate) fn raster_camera(
     clip: &Clip,
     robot: &RobotMaps,
     field: &Field,
-    camera: usize,
-    frame: u32,
+    camera: CameraIndex,
+    frame: FrameIndex,
 ) -> StageResult<RasterCamera> {
-    let camera = PosedCamera::of_clip(clip, robot, camera, frame as usize).map_err(bad_pose)?;
+    let camera = PosedCamera::of_clip(clip, robot, camera, frame).map_err(bad_pose)?;
     let in_recon = camera.in_frame(&recon_from_base(field)?);
     Ok(RasterCamera::new(&in_recon, LengthUnit::Internal))
 }

@@ -8,6 +8,7 @@ use rogs_refine::RefineParams;
 use rogs_refine::training::{AdamW, TermValues, TrainingOptions, TrainingStep, training_step};
 use rogs_schemas::records::clip::{CameraRole, DepthReference, Tracks};
 use rogs_schemas::records::origin::ReferenceOrigin;
+use rogs_schemas::{CameraIndex, FrameIndex};
 use rogs_stage2::objective::ObjectiveWeights;
 use rogs_stage2::weights::uniform;
 use rogs_stage2::{Refiner, RefinerConfig, parameter_shapes, seeded_parameters};
@@ -70,7 +71,7 @@ fn complete(seed: u64) -> Example {
     let mut right = example.clip.cameras[1].clone();
     right.id = "ext1_right".into();
     right.role = CameraRole::Evaluation;
-    right.partner = Some(1);
+    right.partner = Some(CameraIndex(1));
     right.rgb = right.rgb.map(|rgb| rgb.iter().map(|value| 255 - value).collect());
     example.clip.cameras.push(right);
     for (index, camera) in example.clip.cameras.iter_mut().enumerate() {
@@ -92,8 +93,8 @@ fn complete(seed: u64) -> Example {
     let count = 12;
     let position = |k: usize| ((k * 37) % 11) as f32 / 100.0;
     example.clip.tracks = Some(Tracks {
-        anchor_frame: 0,
-        camera: (0..count).map(|k| (k % 3) as u32).collect(),
+        anchor_frame: FrameIndex(0),
+        camera: (0..count).map(|k| CameraIndex((k % 3) as u32)).collect(),
         pixel: (0..count).flat_map(|k| [(3 + k) as f32, (2 + k % 9) as f32]).collect(),
         position_m: (0..count * frames * 3).map(position).collect(),
         visible: vec![1; count * frames],
@@ -217,7 +218,7 @@ fn a_query_time_that_the_field_lacks_is_named() {
     AdamW::track(&mut parameters);
     let refiner = Refiner::load(&parameters, &config).unwrap();
     let options = TrainingOptions {
-        frames: &[3],
+        frames: &[FrameIndex(3)],
         ..TrainingOptions::default()
     };
     let error = training_step(example.inputs(), &refiner, &RefineParams::default(), &options)

@@ -8,6 +8,7 @@ use rogs_robot::raster::Renderer;
 use rogs_robot::{JointState, MeshScene, RenderOptions, RobotModel};
 use rogs_schemas::records::clip::{CameraMount, Clip, ClipCamera};
 use rogs_schemas::records::robot::{RobotMap, RobotMaps};
+use rogs_schemas::{CameraIndex, FrameIndex};
 use rogs_worker::{Observer, StageError, StageResult};
 
 use crate::params::Params;
@@ -83,7 +84,7 @@ pub fn build(clip: &Clip, robot: &Robot, params: &Params, observer: &mut dyn Obs
         .source_frames
         .first()
         .ok_or_else(|| StageError::bad_input("the clip has no source frame"))?;
-    let first_pose = base_from_camera[first_camera as usize].get(first_frame as usize);
+    let first_pose = base_from_camera[first_camera.at()].get(first_frame.at());
     let first_pose =
         first_pose.ok_or_else(|| StageError::bad_input(format!("source frame {first_frame} is not in the clip")))?;
     let tool_offset = params.robot.tool_offset_m.into();
@@ -188,18 +189,18 @@ fn draw(
     clip: &Clip,
     robot: &Robot,
     params: &Params,
-    source_cameras: &[u32],
+    source_cameras: &[CameraIndex],
     base_from_camera: &[Vec<Pose<Base, Camera>>],
     base_from_link: &[Vec<Pose<Base, Link>>],
 ) -> StageResult<Vec<RobotMap>> {
-    let views: Vec<(u32, usize)> = source_cameras
+    let views: Vec<(CameraIndex, FrameIndex)> = source_cameras
         .iter()
-        .flat_map(|&camera| (0..clip.frame_count()).map(move |frame| (camera, frame)))
+        .flat_map(|&camera| FrameIndex::first(clip.frame_count()).map(move |frame| (camera, frame)))
         .collect();
-    let draw_view = |renderer: &mut Renderer<'_>, &(camera, frame): &(u32, usize)| {
-        let lens = Pinhole::of_clip(clip, &clip.cameras[camera as usize]);
-        let camera_from_base = base_from_camera[camera as usize][frame].inverse();
-        let camera_from_link: Vec<Pose<Camera, Link>> = base_from_link[frame]
+    let draw_view = |renderer: &mut Renderer<'_>, &(camera, frame): &(CameraIndex, FrameIndex)| {
+        let lens = Pinhole::of_clip(clip, &clip.cameras[camera.at()]);
+        let camera_from_base = base_from_camera[camera.at()][frame.at()].inverse();
+        let camera_from_link: Vec<Pose<Camera, Link>> = base_from_link[frame.at()]
             .iter()
             .map(|&pose| camera_from_base * pose)
             .collect();
@@ -210,7 +211,7 @@ fn draw(
         let support = valid_support(&image.depth_m, &image.link, clip.width, clip.height, &params.support);
         Ok(RobotMap {
             camera,
-            frame: frame as u32,
+            frame,
             depth_m: image.depth_m,
             link: image.link,
             support,

@@ -5,10 +5,10 @@ use std::path::PathBuf;
 
 use rogs_r4c::Record;
 use rogs_r4c::source::ROBOT_MODEL;
-use rogs_schemas::SchemaId;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::{CameraMount, Clip};
 use rogs_schemas::records::robot::RobotMaps;
+use rogs_schemas::{CameraIndex, SchemaId};
 use rogs_worker::{Context, Stage, StageError, StageResult};
 
 use crate::build::{Robot, build};
@@ -50,7 +50,7 @@ impl Stage for RobotMapsStage {
     fn run(&mut self, context: &mut Context<'_>) -> StageResult<()> {
         let clip: Clip = context.timed("read", |context| context.read("clip"))?;
         let maps = context.timed("draw", |context| build(&clip, &self.robot, &self.params, context))?;
-        let unseen = |camera: Option<u32>| {
+        let unseen = |camera: Option<CameraIndex>| {
             let mut of_camera = maps
                 .maps
                 .iter()
@@ -62,7 +62,7 @@ impl Stage for RobotMapsStage {
         } else {
             // A camera on the hand may well see none; one that stands beside the robot does.
             for index in clip.source_cameras() {
-                let camera = &clip.cameras[index as usize];
+                let camera = &clip.cameras[index.at()];
                 if matches!(camera.mount, CameraMount::Fixed { .. }) && unseen(Some(index)) {
                     context.warn(format!(
                         "camera `{}` never sees the robot: is its pose camera-to-base (not base-to-camera), in metres, with \

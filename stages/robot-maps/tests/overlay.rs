@@ -14,7 +14,7 @@ use rogs_robot::outline::{EdgeOptions, image_edges, link_outlines, share_near_ed
 use rogs_robot_maps::{Params, Robot, build};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
 use rogs_schemas::records::robot::{RobotMap, RobotMaps};
-use rogs_schemas::{Intrinsics, RigidPose};
+use rogs_schemas::{EpisodeFrame, FrameIndex, Intrinsics, RigidPose};
 use rogs_worker::Observer;
 use serde_json::Value;
 
@@ -137,10 +137,10 @@ fn episode() -> (Clip, Robot, RobotMaps) {
         task: String::new(),
         calibration_note: String::new(),
         fps: 4.0,
-        episode_frames: FRAMES.map(|frame| frame as u32).to_vec(),
-        source_frames: vec![0, 4, 8, 12, 16],
-        query_frames: (0..17).collect(),
-        anchor_frame: 0,
+        episode_frames: FRAMES.map(|frame| EpisodeFrame(frame as u32)).to_vec(),
+        source_frames: [0, 4, 8, 12, 16].map(FrameIndex).to_vec(),
+        query_frames: (0..17).map(FrameIndex).collect(),
+        anchor_frame: FrameIndex(0),
         height: H,
         width: W,
         cameras,
@@ -159,7 +159,7 @@ fn episode() -> (Clip, Robot, RobotMaps) {
 
 fn picture<'a>(clip: &'a Clip, map: &RobotMap) -> &'a [u8] {
     let area = (W * H * 3) as usize;
-    &clip.cameras[map.camera as usize].rgb.as_ref().unwrap()[map.frame as usize * area..(map.frame as usize + 1) * area]
+    &clip.cameras[map.camera.at()].rgb.as_ref().unwrap()[map.frame.at() * area..(map.frame.at() + 1) * area]
 }
 
 /// Displacements of 8 to 12 px in sixteen directions.
@@ -183,7 +183,7 @@ fn the_outline_lies_on_the_robot_in_all_three_views() {
     let (clip, _, maps) = episode();
     for (index, id) in CAMERAS.iter().enumerate() {
         let (mut at_place, mut moved) = (Vec::new(), vec![Vec::new(); shifts().len()]);
-        for map in maps.maps.iter().filter(|map| map.camera as usize == index) {
+        for map in maps.maps.iter().filter(|map| map.camera.at() == index) {
             let edges = image_edges(picture(&clip, map), W, H, &EdgeOptions::default());
             let outline = silhouette(&map.link, W, H);
             at_place.push(share_near_edges(&outline, &edges, W, H, 2, (0, 0)).unwrap());
@@ -211,7 +211,7 @@ fn the_outline_lies_on_the_robot_in_all_three_views() {
 fn write_overlays() {
     let folder = PathBuf::from(std::env::var_os("ROGS_OVERLAY_DIR").expect("ROGS_OVERLAY_DIR"));
     let (clip, _, maps) = episode();
-    for map in maps.maps.iter().filter(|map| map.frame % 8 == 0) {
+    for map in maps.maps.iter().filter(|map| map.frame.0 % 8 == 0) {
         let mut image = image::RgbImage::from_raw(W, H, picture(&clip, map).to_vec()).unwrap();
         for (pixels, colour) in [
             (link_outlines(&map.link, W, H), [255, 200, 0]),
@@ -223,7 +223,7 @@ fn write_overlays() {
         }
         let large = image::imageops::resize(&image, 3 * W, 3 * H, image::imageops::FilterType::Nearest);
         large
-            .save(folder.join(format!("{}_{:02}.png", CAMERAS[map.camera as usize], map.frame)))
+            .save(folder.join(format!("{}_{:02}.png", CAMERAS[map.camera.at()], map.frame)))
             .unwrap();
     }
 }

@@ -8,7 +8,7 @@ use rogs_robot_maps::{Params, Robot, build};
 use rogs_schemas::key::{KeyMaterial, Provenance};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
 use rogs_schemas::records::robot::{NO_LINK, RobotMaps, RobotSpec};
-use rogs_schemas::{Intrinsics, RigidPose};
+use rogs_schemas::{EpisodeFrame, FrameIndex, Intrinsics, RigidPose};
 use rogs_worker::{Observer, Unobserved};
 
 const URDF: &str = r#"<robot name="boxes">
@@ -79,10 +79,10 @@ fn clip() -> Clip {
         task: String::new(),
         calibration_note: String::new(),
         fps: 5.0,
-        episode_frames: (0..FRAMES as u32).collect(),
-        source_frames: vec![1, 3],
-        query_frames: vec![0, 2, 4],
-        anchor_frame: 0,
+        episode_frames: (0..FRAMES as u32).map(EpisodeFrame).collect(),
+        source_frames: [1, 3].map(FrameIndex).to_vec(),
+        query_frames: [0, 2, 4].map(FrameIndex).to_vec(),
+        anchor_frame: FrameIndex(0),
         height: H,
         width: W,
         cameras: vec![
@@ -138,7 +138,7 @@ impl Observer for Warnings {
 fn maps_cover_every_source_camera_and_frame() {
     let (maps, warnings) = build_it(&clip()).unwrap();
     assert!(warnings.is_empty());
-    let order: Vec<(u32, u32)> = maps.maps.iter().map(|map| (map.camera, map.frame)).collect();
+    let order: Vec<(u32, u32)> = maps.maps.iter().map(|map| (map.camera.0, map.frame.0)).collect();
     let expected: Vec<(u32, u32)> = (0..2)
         .flat_map(|camera| (0..FRAMES as u32).map(move |frame| (camera, frame)))
         .collect();

@@ -4,6 +4,7 @@
 use rogs_schemas::records::clip::{CameraRole, Clip, ClipCamera};
 use rogs_schemas::records::robot::{RobotMap, RobotMaps};
 use rogs_schemas::records::scores::{ImageScore, RobotDepthScore, TrackScore};
+use rogs_schemas::{CameraIndex, FrameIndex};
 use serde::{Deserialize, Serialize};
 
 use crate::metrics::{
@@ -53,14 +54,14 @@ pub struct MeasuredImage {
 pub fn measure_image(
     clip: &Clip,
     robot: &RobotMaps,
-    camera: usize,
-    frame: u32,
+    camera: CameraIndex,
+    frame: FrameIndex,
     prediction: &PredictedImage<'_>,
     variant: SsimVariant,
     core: RobotCore,
 ) -> Result<MeasuredImage, MetricError> {
     let (height, width) = (clip.height as usize, clip.width as usize);
-    let view = &clip.cameras[camera];
+    let view = &clip.cameras[camera.at()];
     let mut score = ImageScore {
         camera: view.id.clone(),
         source_view: view.role == CameraRole::Source,
@@ -97,7 +98,7 @@ pub fn measure_image(
         }
         measure_depth(&mut measured, predicted, reference, range_m);
         if view.role == CameraRole::Source
-            && let Some(map) = robot_map(robot, camera as u32, frame)
+            && let Some(map) = robot_map(robot, camera, frame)
         {
             let support = depth_support(reference, range_m);
             let inside = robot_core(height, width, &map.link, &map.depth_m, reference, &support, core.tau_m);
@@ -126,7 +127,7 @@ fn measure_depth(measured: &mut MeasuredImage, predicted: &[f32], reference: &[f
 
 /// Pools the cores of the source cameras at one time.
 #[must_use]
-pub fn pool_robot_depth<'a>(frame: u32, images: impl IntoIterator<Item = &'a MeasuredImage>) -> RobotDepthScore {
+pub fn pool_robot_depth<'a>(frame: FrameIndex, images: impl IntoIterator<Item = &'a MeasuredImage>) -> RobotDepthScore {
     let (mut sum, mut count) = (0.0, 0);
     for (error, pixels) in images.into_iter().filter_map(|image| image.core) {
         sum += error;
@@ -142,14 +143,14 @@ pub fn pool_robot_depth<'a>(frame: u32, images: impl IntoIterator<Item = &'a Mea
 /// Valid robot tracks of a camera between the tracks' anchor time and `frame`: the anchor pixel is visible and lies on
 /// the robot's mesh support at the anchor time, and the positions are finite at both times.
 #[must_use]
-pub fn robot_tracks(clip: &Clip, robot: &RobotMaps, camera: u32, frame: u32) -> Vec<TrackSample> {
+pub fn robot_tracks(clip: &Clip, robot: &RobotMaps, camera: CameraIndex, frame: FrameIndex) -> Vec<TrackSample> {
     let Some(tracks) = &clip.tracks else { return Vec::new() };
     let Some(map) = robot_map(robot, camera, tracks.anchor_frame) else {
         return Vec::new();
     };
     let frames = clip.frame_count();
-    let position = |track: usize, frame: u32| {
-        let at = (track * frames + frame as usize) * 3;
+    let position = |track: usize, frame: FrameIndex| {
+        let at = (track * frames + frame.at()) * 3;
         let point = tracks.position_m.get(at..at + 3)?;
         point
             .iter()
@@ -159,7 +160,7 @@ pub fn robot_tracks(clip: &Clip, robot: &RobotMaps, camera: u32, frame: u32) -> 
     let sample = |track: usize| {
         let pixel = [tracks.pixel[track * 2], tracks.pixel[track * 2 + 1]];
         let at = pixel_index(pixel, clip.height, clip.width)?;
-        let visible = tracks.visible.get(track * frames + tracks.anchor_frame as usize) == Some(&1);
+        let visible = tracks.visible.get(track * frames + tracks.anchor_frame.at()) == Some(&1);
         if !visible || map.support[at] == 0 {
             return None;
         }
@@ -186,7 +187,11 @@ fn pixel_index(pixel: [f32; 2], height: u32, width: u32) -> Option<usize> {
 
 /// End-point error of rendered displacements from the anchor to `frame`, pooled over `(map, tracks)` of the cameras.
 #[must_use]
-pub fn measure_displacement(anchor: u32, frame: u32, views: &[(DisplacementMap<'_>, Vec<TrackSample>)]) -> TrackScore {
+pub fn measure_displacement(
+    anchor: FrameIndex,
+    frame: FrameIndex,
+    views: &[(DisplacementMap<'_>, Vec<TrackSample>)],
+) -> TrackScore {
     let (mut sum, mut count) = (0.0, 0u64);
     for (map, tracks) in views {
         for track in tracks {
@@ -204,21 +209,25 @@ pub fn measure_displacement(anchor: u32, frame: u32, views: &[(DisplacementMap<'
 
 /// The reference image of a camera at a frame.
 #[must_use]
-pub fn reference_rgb(clip: &Clip, camera: usize, frame: u32) -> Option<&[u8]> {
+pub fn reference_rgb(clip: &Clip, camera: CameraIndex, frame: FrameIndex) -> Option<&[u8]> {
     let size = clip.height as usize * clip.width as usize * 3;
-    let start = frame as usize * size;
-    clip.cameras.get(camera)?.rgb.as_ref()?.get(start..start + size)
+    let start = frame.at() * size;
+    clip.cameras.get(camera.at())?.rgb.as_ref()?.get(start..start + size)
 }
 
 /// Reference depth of a camera at a frame and its scored range, metres.
-pub(crate) fn reference_depth<'a>(camera: &'a ClipCamera, clip: &Clip, frame: u32) -> Option<(&'a [f32], [f32; 2])> {
+pub(crate) fn reference_depth<'a>(
+    camera: &'a ClipCamera,
+    clip: &Clip,
+    frame: FrameIndex,
+) -> Option<(&'a [f32], [f32; 2])> {
     let depth = camera.depth.as_ref()?;
     let size = clip.height as usize * clip.width as usize;
-    let start = frame as usize * size;
+    let start = frame.at() * size;
     Some((depth.depth_m.get(start..start + size)?, depth.range_m))
 }
 
 /// The robot's map in a source camera at a frame.
-fn robot_map(robot: &RobotMaps, camera: u32, frame: u32) -> Option<&RobotMap> {
+fn robot_map(robot: &RobotMaps, camera: CameraIndex, frame: FrameIndex) -> Option<&RobotMap> {
     robot.maps.iter().find(|map| map.camera == camera && map.frame == frame)
 }

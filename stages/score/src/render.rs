@@ -10,6 +10,7 @@ use rogs_schemas::records::clip::{Clip, time_of_frame};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::{RenderedView, TrackScore};
 use rogs_schemas::units::{LengthUnit, iu_from_m};
+use rogs_schemas::{CameraIndex, FrameIndex};
 use rogs_splat::{Gaussians, RasterCamera, RasterConfig, Render};
 use rogs_worker::{StageError, StageResult};
 
@@ -95,11 +96,11 @@ pub(crate) type Displacements = (Vec<TrackScore>, Option<String>);
 
 impl Scene<'_> {
     /// All cameras at a frame, in camera order.
-    pub(crate) fn views(&self, frame: u32) -> StageResult<Vec<ViewRender>> {
+    pub(crate) fn views(&self, frame: FrameIndex) -> StageResult<Vec<ViewRender>> {
         match &self.predictions {
             Predictions::Field(source) => {
                 let gaussians = self.gaussians(source, frame)?;
-                let cameras: StageResult<Vec<_>> = (0..self.clip.cameras.len())
+                let cameras: StageResult<Vec<_>> = CameraIndex::first(self.clip.cameras.len())
                     .map(|camera| self.camera(source, camera, frame))
                     .collect();
                 let renders =
@@ -134,19 +135,19 @@ impl Scene<'_> {
         };
         let anchor = tracks.anchor_frame;
         let query = self.clip.query_frames.iter().copied();
-        let frames: Vec<u32> = query.filter(|&frame| frame != anchor).collect();
+        let frames: Vec<FrameIndex> = query.filter(|&frame| frame != anchor).collect();
         // Per frame: camera and its valid tracks.
         let sources = self.clip.source_cameras();
-        let of_frame = |&frame: &u32| -> Vec<(u32, Vec<TrackSample>)> {
-            let tracks = |&v: &u32| (v, robot_tracks(self.clip, self.robot, v, frame));
+        let of_frame = |&frame: &FrameIndex| -> Vec<(CameraIndex, Vec<TrackSample>)> {
+            let tracks = |&v: &CameraIndex| (v, robot_tracks(self.clip, self.robot, v, frame));
             sources.iter().map(tracks).collect()
         };
         let samples: Vec<_> = frames.iter().map(of_frame).collect();
-        let has_tracks = |v: u32| {
+        let has_tracks = |v: CameraIndex| {
             let mut all = samples.iter().flatten();
             all.any(|(camera, tracks)| *camera == v && !tracks.is_empty())
         };
-        let used: Vec<u32> = sources.iter().copied().filter(|&v| has_tracks(v)).collect();
+        let used: Vec<CameraIndex> = sources.iter().copied().filter(|&v| has_tracks(v)).collect();
         let mut note = None;
         let maps = match &self.predictions {
             _ if used.is_empty() => BTreeMap::new(),
@@ -185,7 +186,7 @@ impl Scene<'_> {
     }
 
     /// The camera at a frame, in the frame and unit of the field's Gaussians.
-    fn camera(&self, source: &FieldSource<'_>, camera: usize, frame: u32) -> StageResult<RasterCamera> {
+    fn camera(&self, source: &FieldSource<'_>, camera: CameraIndex, frame: FrameIndex) -> StageResult<RasterCamera> {
         let camera = posed(self.clip, self.robot, camera, frame)?;
         Ok(match source {
             FieldSource::Own { recon_from_base, .. } => {
@@ -196,7 +197,7 @@ impl Scene<'_> {
     }
 
     /// The Gaussians at a frame in internal units.
-    fn gaussians(&self, source: &FieldSource<'_>, frame: u32) -> StageResult<Gaussians> {
+    fn gaussians(&self, source: &FieldSource<'_>, frame: FrameIndex) -> StageResult<Gaussians> {
         match source {
             FieldSource::Own { field, .. } => field.gaussians(self.time(frame)).map_err(|error| {
                 splat_error(error).with_hint(format!(
@@ -215,7 +216,7 @@ impl Scene<'_> {
         }
     }
 
-    fn time(&self, frame: u32) -> f64 {
+    fn time(&self, frame: FrameIndex) -> f64 {
         time_of_frame(frame, self.clip.frame_count())
     }
 
@@ -224,10 +225,10 @@ impl Scene<'_> {
     fn displacement_maps(
         &self,
         source: &FieldSource<'_>,
-        anchor: u32,
-        frames: &[u32],
-        cameras: &[u32],
-    ) -> StageResult<Option<BTreeMap<u32, CameraDisplacements>>> {
+        anchor: FrameIndex,
+        frames: &[FrameIndex],
+        cameras: &[CameraIndex],
+    ) -> StageResult<Option<BTreeMap<CameraIndex, CameraDisplacements>>> {
         let mut gaussians = self.gaussians(source, anchor)?;
         let channels = frames.len() * 3;
         gaussians.extra_channels = channels;
@@ -254,7 +255,7 @@ impl Scene<'_> {
         }
         let views: StageResult<Vec<_>> = cameras
             .iter()
-            .map(|&camera| self.camera(source, camera as usize, anchor))
+            .map(|&camera| self.camera(source, camera, anchor))
             .collect();
         let renders = rogs_splat::render_views(&gaussians, &views?, &RasterConfig::default()).map_err(splat_error)?;
         let split = |render: Render| {
@@ -280,16 +281,16 @@ impl Scene<'_> {
     fn given_maps(
         &self,
         images: &ImagePredictions,
-        frames: &[u32],
-        cameras: &[u32],
-    ) -> StageResult<BTreeMap<u32, CameraDisplacements>> {
+        frames: &[FrameIndex],
+        cameras: &[CameraIndex],
+    ) -> StageResult<BTreeMap<CameraIndex, CameraDisplacements>> {
         let area = self.clip.height as usize * self.clip.width as usize;
         let indices: Vec<usize> = frames
             .iter()
             .map(|&frame| images.index(frame).map_err(outside_error))
             .collect::<StageResult<_>>()?;
-        let of = |&camera: &u32| {
-            let own = images.cameras.get(&self.clip.cameras[camera as usize].id)?;
+        let of = |&camera: &CameraIndex| {
+            let own = images.cameras.get(&self.clip.cameras[camera.at()].id)?;
             let all = own.displacement_m.as_deref()?;
             let sums_m = indices
                 .iter()
@@ -311,8 +312,13 @@ struct CameraDisplacements {
 }
 
 /// A camera of the clip at a frame.
-pub(crate) fn posed(clip: &Clip, robot: &RobotMaps, camera: usize, frame: u32) -> StageResult<PosedCamera<Base>> {
-    PosedCamera::of_clip(clip, robot, camera, frame as usize).map_err(|error| StageError::bad_input(error.to_string()))
+pub(crate) fn posed(
+    clip: &Clip,
+    robot: &RobotMaps,
+    camera: CameraIndex,
+    frame: FrameIndex,
+) -> StageResult<PosedCamera<Base>> {
+    PosedCamera::of_clip(clip, robot, camera, frame).map_err(|error| StageError::bad_input(error.to_string()))
 }
 
 /// The rasteriser's thresholds are in internal units for every method.
@@ -337,7 +343,7 @@ pub(crate) fn scale_to_source_depth(
             return Err(StageError::bad_input(what)
                 .with_hint("put each camera's field into a folder of its own, or leave `scale` out"));
         };
-        let view = &clip.cameras[camera as usize];
+        let view = &clip.cameras[camera.at()];
         let mut images = Vec::new();
         for &frame in &clip.source_frames {
             let Some((reference, range_m)) = reference_depth(view, clip, frame) else {
@@ -348,7 +354,7 @@ pub(crate) fn scale_to_source_depth(
                 Err(OutsideError::MissingFrame { .. } | OutsideError::NoFrame { .. }) => continue,
                 Err(error) => return Err(outside_error(error)),
             };
-            let camera = posed(clip, robot, camera as usize, frame)?;
+            let camera = posed(clip, robot, camera, frame)?;
             let camera = RasterCamera::new(&camera, LengthUnit::Internal);
             let render = rogs_splat::render(&gaussians, &camera, &RasterConfig::default()).map_err(splat_error)?;
             let depth_m = ViewRender::new(&render).depth_m.unwrap_or_default();

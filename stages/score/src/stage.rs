@@ -8,13 +8,13 @@ use rayon::prelude::*;
 use rogs_field::TimedField;
 use rogs_geometry::{Base, Pose, Recon};
 use rogs_r4c::Record;
-use rogs_schemas::SchemaId;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::{Field, WeightsInfo};
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
+use rogs_schemas::{CameraIndex, FrameIndex, SchemaId};
 use rogs_worker::{Context, Stage, StageError, StageResult};
 use serde::{Deserialize, Serialize};
 
@@ -198,10 +198,10 @@ impl Score {
         prediction: PredictionParams,
     ) -> StageResult<()> {
         let ids: Vec<&str> = clip.cameras.iter().map(|camera| camera.id.as_str()).collect();
-        let first = clip.source_frames.first().copied().unwrap_or(0);
-        let source = |camera: u32| -> StageResult<_> {
-            let posed = posed(clip, robot, camera as usize, first)?;
-            Ok((camera, ids[camera as usize], posed.world_from_camera))
+        let first = clip.source_frames.first().copied().unwrap_or_default();
+        let source = |camera: CameraIndex| -> StageResult<_> {
+            let posed = posed(clip, robot, camera, first)?;
+            Ok((camera, ids[camera.at()], posed.world_from_camera))
         };
         let sources: Vec<_> = (clip.source_cameras().into_iter())
             .map(source)
@@ -318,10 +318,10 @@ impl Score {
         &self,
         clip: &Clip,
         robot: &RobotMaps,
-        frame: u32,
+        frame: FrameIndex,
         views: &[ViewRender],
     ) -> StageResult<Vec<MeasuredImage>> {
-        let one = |(camera, view): (usize, &ViewRender)| {
+        let one = |(camera, view): (CameraIndex, &ViewRender)| {
             let prediction = PredictedImage {
                 rgb: view.rgb.as_deref(),
                 depth_m: view.depth_m.as_deref(),
@@ -329,7 +329,8 @@ impl Score {
             let Self { params, .. } = self;
             measure_image(clip, robot, camera, frame, &prediction, params.ssim, params.robot_core)
         };
-        let measured: Result<Vec<_>, MetricError> = views.par_iter().enumerate().map(one).collect();
+        let cameras: Vec<_> = CameraIndex::first(views.len()).zip(views).collect();
+        let measured: Result<Vec<_>, MetricError> = cameras.into_par_iter().map(one).collect();
         measured.map_err(|error| StageError::bad_input(format!("frame {frame}: {error}")))
     }
 
@@ -337,7 +338,7 @@ impl Score {
     fn add_lpips(&self, clip: &Clip, views: &[ViewRender], measured: &mut [MeasuredImage], sheet: &mut ScoreSheet) {
         let Some(lpips) = &self.lpips else { return };
         let (height, width) = (clip.height as usize, clip.width as usize);
-        for (camera, (view, image)) in views.iter().zip(measured).enumerate() {
+        for (camera, (view, image)) in CameraIndex::first(views.len()).zip(views.iter().zip(measured)) {
             let reference = reference_rgb(clip, camera, image.score.frame);
             let (Some(rgb), Some(reference)) = (&view.rgb, reference) else {
                 continue;
@@ -404,7 +405,7 @@ fn check_clip(clip: &Clip, robot: &RobotMaps) -> StageResult<()> {
         ));
     }
     let used = clip.query_frames.iter().chain(&clip.source_frames);
-    if let Some(frame) = used.into_iter().find(|&&frame| frame as usize >= clip.frame_count()) {
+    if let Some(frame) = used.into_iter().find(|frame| frame.at() >= clip.frame_count()) {
         return wrong(format!(
             "frame {frame} lies outside of the clip's {} frames",
             clip.frame_count()

@@ -5,6 +5,7 @@
 mod made_up;
 
 use rogs_random::{query_plan, query_plan_from_words};
+use rogs_schemas::FrameIndex;
 use rogs_schemas::records::scores::{ImageScore, RobotDepthScore, ScoreSheet, TrackScore};
 use rogs_score::metrics::{Pixels, RgbView, SsimVariant, bootstrap_interval, depth_scores, depth_support, psnr, ssim};
 use rogs_score::summary::{ImageMetric, Metric, SheetSet, clip_value};
@@ -20,7 +21,7 @@ fn image(frame: u32, psnr: Option<f64>) -> ImageScore {
     ImageScore {
         camera: "ext1_right".into(),
         source_view: false,
-        frame,
+        frame: FrameIndex(frame),
         psnr,
         ssim: None,
         lpips: None,
@@ -107,15 +108,15 @@ fn a_clip_with_a_single_distinct_time() {
 fn a_clip_without_tracks_is_left_out_of_the_displacement_mean_and_counted() {
     let mut with = sheet("stage1", "a");
     let track = |epe_mm| TrackScore {
-        anchor: 0,
-        frame: 4,
+        anchor: FrameIndex(0),
+        frame: FrameIndex(4),
         epe_mm,
         n_tracks: u64::from(epe_mm.is_some()),
     };
     with.tracks = vec![track(Some(8.0)), track(None)];
     with.images = vec![image(0, Some(17.0))];
     with.robot_depth = vec![RobotDepthScore {
-        frame: 0,
+        frame: FrameIndex(0),
         robot_depth_mm: None,
         core_n: 0,
     }];

@@ -4,6 +4,7 @@
 
 mod support;
 
+use rogs_schemas::FrameIndex;
 use support::{Bench, HEIGHT, WIDTH, clip};
 
 #[test]
@@ -19,7 +20,7 @@ fn a_moving_wall_has_the_scores_it_should_have() {
     let source = sheet
         .images
         .iter()
-        .find(|image| image.camera == "wrist" && image.frame == 0)
+        .find(|image| image.camera == "wrist" && image.frame == FrameIndex(0))
         .unwrap();
     assert_eq!(source.support_n, (HEIGHT * WIDTH - 2) as u64);
     assert!((source.absrel.unwrap() - 0.02 / 1.02).abs() < 1e-3, "{source:?}");
@@ -41,7 +42,11 @@ fn a_moving_wall_has_the_scores_it_should_have() {
     assert_eq!(depth.core_n, ((HEIGHT - 4) * (WIDTH - 2)) as u64);
     assert!((depth.robot_depth_mm.unwrap() - 20.0).abs() < 1.0, "{depth:?}");
 
-    let times: Vec<(u32, u32, u64)> = sheet.tracks.iter().map(|t| (t.anchor, t.frame, t.n_tracks)).collect();
+    let times: Vec<(u32, u32, u64)> = sheet
+        .tracks
+        .iter()
+        .map(|t| (t.anchor.0, t.frame.0, t.n_tracks))
+        .collect();
     assert_eq!(times, [(0, 4, 3), (0, 9, 2)]);
     for track in &sheet.tracks {
         assert!(track.epe_mm.unwrap() < 1e-3, "the wall moves as one piece: {track:?}");
@@ -158,7 +163,7 @@ fn the_bytes_do_not_depend_on_the_number_of_threads() {
 #[test]
 fn wrong_inputs_are_explained() {
     let mut other = clip(true);
-    other.query_frames = vec![0, 5];
+    other.query_frames = [0, 5].map(FrameIndex).to_vec();
     let (event, scores, _) = Bench::new(&other).run(&serde_json::json!({}), "2");
     assert!(scores.is_none());
     assert!(event["message"].as_str().unwrap().contains("0.3125"), "{event}");

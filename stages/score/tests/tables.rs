@@ -5,6 +5,7 @@
 #[path = "support/made_up.rs"]
 mod made_up;
 
+use rogs_schemas::FrameIndex;
 use rogs_schemas::records::field::WeightsInfo;
 use rogs_schemas::records::scores::{ScoreSheet, TrackScore};
 use rogs_score::metrics::bootstrap_interval;
@@ -60,8 +61,8 @@ fn golden_sheet(clip: &Value) -> ScoreSheet {
         );
         let epe_mm = clip["robot_epe_mm"][time].as_f64();
         sheet.tracks.push(TrackScore {
-            anchor: 0,
-            frame,
+            anchor: FrameIndex(0),
+            frame: FrameIndex(frame),
             epe_mm,
             n_tracks: u64::from(epe_mm.is_some()),
         });

@@ -8,6 +8,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
 use rogs_arrays::{Scalar, le_bytes, npy_bytes, npy_header};
 use rogs_files::{Draft, DraftFile};
+use rogs_schemas::EpisodeFrame;
 use rogs_schemas::episode as layout;
 use rogs_schemas::records::clip::PROCEDURAL_NOTE;
 use rogs_schemas::records::origin::ReferenceOrigin;
@@ -315,7 +316,7 @@ fn description(episode: &Episode, model: &str) -> layout::Episode {
         },
         cameras: (0..CAMERAS).map(camera).collect(),
         tracks: Some(layout::EpisodeTracks {
-            anchor_frame: episode.config.anchor(),
+            anchor_frame: EpisodeFrame(episode.config.anchor()),
             camera: "tracks/camera.npy".into(),
             pixel: "tracks/pixel.npy".into(),
             position_m: "tracks/position.npy".into(),

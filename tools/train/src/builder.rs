@@ -2,6 +2,7 @@
 
 use rogs_geometry::{Base, Camera, Pose, PosedCamera, Recon};
 use rogs_robot_maps::{SupportRule, valid_support};
+use rogs_schemas::FrameIndex;
 use rogs_schemas::records::robot::NO_LINK;
 use rogs_synth::{Episode, EpisodeCamera, FIRST_OBJECT_ID, View};
 
@@ -37,8 +38,8 @@ impl<'a> ClipBuilder<'a> {
     }
 
     /// Episode frame of a clip frame.
-    pub(crate) fn frame(&self, clip_frame: u32) -> usize {
-        (self.plan.first + clip_frame) as usize
+    pub(crate) fn frame(&self, clip_frame: FrameIndex) -> usize {
+        self.plan.first.at() + clip_frame.at()
     }
 
     /// Camera-to-base pose as it is recorded.

@@ -1,6 +1,7 @@
 //! Which frames of which procedural episode a training clip is cut from.
 
 use rogs_random::Pcg64;
+use rogs_schemas::{EpisodeFrame, FrameIndex};
 use rogs_synth::{Episode, Resolution, SynthConfig, generate_episode};
 
 use crate::config::DataSettings;
@@ -15,11 +16,11 @@ pub struct ClipPlan {
     /// Seed of the episode.
     pub seed: u64,
     /// First episode frame of the clip.
-    pub first: u32,
+    pub first: EpisodeFrame,
     /// Clip frames whose images the network sees, ascending.
-    pub sources: Vec<u32>,
+    pub sources: Vec<FrameIndex>,
     /// Clip frames that are asked for, ascending.
-    pub queries: Vec<u32>,
+    pub queries: Vec<FrameIndex>,
 }
 
 impl ClipPlan {
@@ -33,7 +34,7 @@ impl ClipPlan {
         let even = random.next_double() < 0.5;
         Self {
             seed,
-            first: first.min(latest),
+            first: EpisodeFrame(first.min(latest)),
             sources: if even {
                 spread(frames, sources)
             } else {
@@ -49,11 +50,11 @@ impl ClipPlan {
         let frames = data.clip_frames;
         Self {
             seed,
-            first: 7.min(EPISODE_FRAMES.saturating_sub(frames)),
+            first: EpisodeFrame(7.min(EPISODE_FRAMES.saturating_sub(frames))),
             sources: spread(frames, data.source_times[1]),
             queries: spread(frames, 3.min(frames))
                 .into_iter()
-                .map(|frame| frame.saturating_sub(2))
+                .map(|frame| FrameIndex(frame.0.saturating_sub(2)))
                 .collect(),
         }
     }
@@ -82,7 +83,7 @@ impl ClipPlan {
                 external: data.size,
             },
             calibration_noise: data.calibration_noise,
-            anchor_frame: Some(self.first + self.sources[0]),
+            anchor_frame: Some(self.first.0 + self.sources[0].0),
             ..SynthConfig::default()
         };
         Ok(generate_episode(&config, self.seed)?)
@@ -90,19 +91,19 @@ impl ClipPlan {
 }
 
 /// Frames spread evenly from the first to the last.
-fn spread(frames: u32, count: u32) -> Vec<u32> {
+fn spread(frames: u32, count: u32) -> Vec<FrameIndex> {
     if count < 2 {
-        return vec![0];
+        return vec![FrameIndex(0)];
     }
     let last = f64::from(frames - 1);
     (0..count)
-        .map(|k| (f64::from(k) * last / f64::from(count - 1)).round() as u32)
+        .map(|k| FrameIndex((f64::from(k) * last / f64::from(count - 1)).round() as u32))
         .collect()
 }
 
 /// Different frames, ascending.
-fn choose(frames: u32, count: u32, random: &mut Pcg64) -> Vec<u32> {
-    let mut all: Vec<u32> = (0..frames).collect();
+fn choose(frames: u32, count: u32, random: &mut Pcg64) -> Vec<FrameIndex> {
+    let mut all: Vec<FrameIndex> = FrameIndex::first(frames as usize).collect();
     for k in 0..count as usize {
         let other = k + (random.next_double() * (all.len() - k) as f64) as usize;
         all.swap(k, other.min(frames as usize - 1));

@@ -1,13 +1,13 @@
 //! The records that the pipeline's stages would make of a procedural clip, without files: for training of Stage 2, and to
 //! hold the training clips against the stages themselves.
 
-use rogs_schemas::ClipId;
 use rogs_schemas::records::clip::{
     CameraMount, CameraRole, Clip, ClipCamera, DepthReference, PROCEDURAL_NOTE, RobotStates, Tracks,
 };
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
+use rogs_schemas::{CameraIndex, ClipId, EpisodeFrame, FrameIndex};
 use rogs_synth::{ARM_JOINT_NAMES, CAMERA_NAMES, CAMERAS, FIRST_OBJECT_ID, View};
 
 use crate::builder::{ClipBuilder, DEPTH_RANGE_M, SOURCE_CAMERAS, links, support};
@@ -54,7 +54,7 @@ impl ClipBuilder<'_> {
     fn clip(&self) -> (Clip, Vec<Vec<View>>) {
         let [height, width] = self.data.size;
         let (area, frames) = (height as usize * width as usize, self.data.clip_frames as usize);
-        let mut wanted: Vec<u32> = self.plan.sources.iter().chain(&self.plan.queries).copied().collect();
+        let mut wanted: Vec<FrameIndex> = self.plan.sources.iter().chain(&self.plan.queries).copied().collect();
         wanted.sort_unstable();
         wanted.dedup();
         let mut rgb = vec![vec![0u8; 3 * area * frames]; CAMERAS];
@@ -63,8 +63,8 @@ impl ClipBuilder<'_> {
         for &frame in &wanted {
             let views = self.episode.render_frame(self.frame(frame)).views;
             for (camera, view) in views.iter().enumerate() {
-                rgb[camera][frame as usize * 3 * area..][..3 * area].copy_from_slice(&view.rgb);
-                depth[camera][frame as usize * area..][..area].copy_from_slice(&view.depth_m);
+                rgb[camera][frame.at() * 3 * area..][..3 * area].copy_from_slice(&view.rgb);
+                depth[camera][frame.at() * area..][..area].copy_from_slice(&view.depth_m);
             }
             if self.plan.sources.contains(&frame) {
                 sources.push(views.into_iter().take(SOURCE_CAMERAS).collect());
@@ -78,10 +78,12 @@ impl ClipBuilder<'_> {
             } else {
                 CameraRole::Evaluation
             },
-            partner: index.checked_sub(SOURCE_CAMERAS).map(|partner| partner as u32),
+            partner: index
+                .checked_sub(SOURCE_CAMERAS)
+                .map(|partner| CameraIndex(partner as u32)),
             intrinsics: self.episode.cameras[index].lens.intrinsics,
             mount: CameraMount::Trajectory {
-                base_from_camera: (0..self.data.clip_frames)
+                base_from_camera: FrameIndex::first(frames)
                     .map(|frame| self.recorded(index, self.frame(frame)).to_rigid())
                     .collect(),
             },
@@ -100,7 +102,7 @@ impl ClipBuilder<'_> {
                 ..camera(index)
             }
         });
-        let states = (0..frames).map(|frame| &self.episode.states[self.plan.first as usize + frame]);
+        let states = (0..frames).map(|frame| &self.episode.states[self.plan.first.at() + frame]);
         let clip = Clip {
             clip_id: ClipId::made_of(&self.episode.id()),
             episode_id: self.episode.id(),
@@ -108,7 +110,9 @@ impl ClipBuilder<'_> {
             task: self.episode.task(),
             calibration_note: PROCEDURAL_NOTE.into(),
             fps: self.episode.config.fps,
-            episode_frames: (self.plan.first..self.plan.first + self.data.clip_frames).collect(),
+            episode_frames: (0..self.data.clip_frames)
+                .map(|frame| EpisodeFrame(self.plan.first.0 + frame))
+                .collect(),
             source_frames: self.plan.sources.clone(),
             query_frames: self.plan.queries.clone(),
             anchor_frame: self.plan.sources[0],
@@ -128,7 +132,7 @@ impl ClipBuilder<'_> {
     /// Tracks that start at the first source time; `anchor` are the pictures of the source cameras then.
     fn tracks(&self, anchor: &[View]) -> Tracks {
         let all = self.episode.tracks(anchor);
-        let (first, frames) = (self.plan.first as usize, self.data.clip_frames as usize);
+        let (first, frames) = (self.plan.first.at(), self.data.clip_frames as usize);
         let episode_frames = self.episode.frame_count();
         let cut = |values: &[f32], per: usize| -> Vec<f32> {
             values
@@ -138,7 +142,7 @@ impl ClipBuilder<'_> {
         };
         Tracks {
             anchor_frame: self.plan.sources[0],
-            camera: all.camera,
+            camera: all.camera.into_iter().map(CameraIndex).collect(),
             pixel: all.pixel.iter().flatten().map(|&place| place as f32).collect(),
             position_m: cut(&all.position_m, 3),
             visible: (all.visible.chunks_exact(episode_frames))
@@ -149,7 +153,7 @@ impl ClipBuilder<'_> {
     }
 
     fn robot(&self, clip: &Clip, sources: &[Vec<View>]) -> RobotMaps {
-        let frames = 0..self.data.clip_frames;
+        let frames = FrameIndex::first(self.data.clip_frames as usize);
         let count = (0..FIRST_OBJECT_ID)
             .take_while(|&id| self.episode.body_pose(id, 0).is_some())
             .count() as u8;
@@ -162,7 +166,7 @@ impl ClipBuilder<'_> {
         });
         let maps = clip.source_views().into_iter().map(|view| {
             let time = self.plan.sources.iter().position(|&frame| frame == view.frame);
-            let picture = &sources[time.unwrap_or(0)][view.camera as usize];
+            let picture = &sources[time.unwrap_or(0)][view.camera.at()];
             let link = links(picture);
             RobotMap {
                 camera: view.camera,

@@ -6,6 +6,7 @@ use rogs_lift::LiftParams;
 use rogs_schemas::records::clip::time_of_frame;
 use rogs_schemas::records::conditioning::{GripperPrior, KAPPA_CHANNELS, plane};
 use rogs_schemas::units::{LengthUnit, UNITS_PER_METRE, iu_from_m};
+use rogs_schemas::{CameraIndex, FrameIndex};
 use rogs_splat::RasterCamera;
 use rogs_stage1::NetworkCamera;
 use rogs_synth::{FIRST_OBJECT_ID, FIRST_SCENERY_ID, View};
@@ -35,7 +36,7 @@ pub struct Sample {
     /// Camera of each view, as it renders.
     pub raster_cameras: Vec<RasterCamera>,
     /// Index of the camera of each view, and its normalised time. `[S]`
-    pub views: Vec<(u32, f32)>,
+    pub views: Vec<(CameraIndex, f32)>,
     /// Reference depth, internal units; 0 where there is none. `[S, A]`
     pub depth_iu: Vec<f32>,
     /// 1 where the reference depth counts. `[S, A]`
@@ -180,7 +181,7 @@ impl ClipBuilder<'_> {
                 .raster_cameras
                 .push(RasterCamera::new(&posed, LengthUnit::Internal));
             let time = time_of_frame(clip_frame, self.data.clip_frames as usize) as f32;
-            sample.views.push((camera as u32, time));
+            sample.views.push((CameraIndex(camera as u32), time));
         }
         sample.queries = (self.plan.queries.iter())
             .map(|&query| self.query(query, &order, &sources, with_targets))
@@ -188,7 +189,7 @@ impl ClipBuilder<'_> {
         sample
     }
 
-    fn query(&self, query: u32, order: &[(usize, usize)], sources: &[Vec<View>], with_targets: bool) -> Query {
+    fn query(&self, query: FrameIndex, order: &[(usize, usize)], sources: &[Vec<View>], with_targets: bool) -> Query {
         let to = self.frame(query);
         let maps: Vec<Motion> = (order.par_iter())
             .map(|&(camera, time)| {

@@ -5,6 +5,7 @@
 use burn::tensor::Device;
 use rogs_lift::{ClipInputs, LiftParams, Model, lift_clip};
 use rogs_random::Pcg64;
+use rogs_schemas::FrameIndex;
 use rogs_schemas::records::clip::time_of_frame;
 use rogs_schemas::records::field::{Field, WeightsInfo};
 use rogs_schemas::units::m_from_iu;
@@ -84,7 +85,7 @@ fn lifting_in_training_equals_the_lift_stage() {
     let displacements_agree = |lifted: &Lifted, field: &Field| {
         let mut all = Vec::new();
         for (query, outputs) in sample.queries.iter().zip(&lifted.queries) {
-            let frame = (0..17)
+            let frame = FrameIndex::first(17)
                 .find(|&frame| time_of_frame(frame, 17) as f32 == query.time)
                 .unwrap();
             let slice = field.slice_at(time_of_frame(frame, 17)).unwrap();

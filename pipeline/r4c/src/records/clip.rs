@@ -3,7 +3,7 @@
 use rogs_schemas::records::check::{area, count, product};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Tracks};
 use rogs_schemas::records::origin::ReferenceOrigin;
-use rogs_schemas::{ClipId, Intrinsics, SchemaId};
+use rogs_schemas::{CameraIndex, ClipId, EpisodeFrame, FrameIndex, Intrinsics, SchemaId};
 use serde::{Deserialize, Serialize};
 
 use crate::error::Result;
@@ -72,10 +72,10 @@ struct Head {
     task: String,
     calibration_note: String,
     fps: f64,
-    episode_frames: Vec<u32>,
-    source_frames: Vec<u32>,
-    query_frames: Vec<u32>,
-    anchor_frame: u32,
+    episode_frames: Vec<EpisodeFrame>,
+    source_frames: Vec<FrameIndex>,
+    query_frames: Vec<FrameIndex>,
+    anchor_frame: FrameIndex,
     height: u32,
     width: u32,
     cameras: Vec<CameraHead>,
@@ -87,7 +87,7 @@ struct Head {
 struct CameraHead {
     id: String,
     role: CameraRole,
-    partner: Option<u32>,
+    partner: Option<CameraIndex>,
     intrinsics: Intrinsics,
     mount: CameraMount,
     has_rgb: bool,
@@ -107,7 +107,7 @@ const ORIGINS: &str = "reference_origins";
 
 #[derive(Serialize, Deserialize)]
 struct TracksHead {
-    anchor_frame: u32,
+    anchor_frame: FrameIndex,
     count: u32,
 }
 
@@ -177,7 +177,8 @@ impl Record for Clip {
         writer.stream(&DEPTH, &[self.height, self.width], &depths)?;
         let Some(tracks) = &self.tracks else { return Ok(()) };
         let frames = self.frame_count() as u32;
-        writer.stream(&TRACK_CAMERA, &[], &[([0; 4], tracks.camera.as_slice())])?;
+        let cameras: Vec<u32> = tracks.camera.iter().map(|camera| camera.0).collect();
+        writer.stream(&TRACK_CAMERA, &[], &[([0; 4], cameras.as_slice())])?;
         writer.stream(&TRACK_PIXEL, &[2], &[([0; 4], tracks.pixel.as_slice())])?;
         writer.stream(&TRACK_POSITION, &[frames, 3], &[([0; 4], tracks.position_m.as_slice())])?;
         writer.stream(&TRACK_VISIBLE, &[frames], &[([0; 4], tracks.visible.as_slice())])
@@ -242,9 +243,10 @@ impl Record for Clip {
         let tracks = match head.tracks {
             None => None,
             Some(tracks) => {
+                let cameras = reader.stream::<u32>(&TRACK_CAMERA, &[])?;
                 let read = Tracks {
                     anchor_frame: tracks.anchor_frame,
-                    camera: reader.stream(&TRACK_CAMERA, &[])?,
+                    camera: cameras.into_iter().map(CameraIndex).collect(),
                     pixel: reader.stream(&TRACK_PIXEL, &[2])?,
                     position_m: reader.stream(&TRACK_POSITION, &[frames as u32, 3])?,
                     visible: reader.stream(&TRACK_VISIBLE, &[frames as u32])?,

@@ -3,7 +3,7 @@
 use rogs_schemas::records::check::{count, product};
 use rogs_schemas::records::clip::SourceView;
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
-use rogs_schemas::{ClipId, SchemaId};
+use rogs_schemas::{ClipId, FrameIndex, SchemaId};
 use serde::{Deserialize, Serialize};
 
 use crate::error::Result;
@@ -55,7 +55,7 @@ struct Head {
     height: u32,
     width: u32,
     views: Vec<SourceView>,
-    query_frames: Vec<u32>,
+    query_frames: Vec<FrameIndex>,
     view_maps: Vec<ViewHead>,
 }
 

@@ -2,7 +2,7 @@
 
 use rogs_schemas::records::check::{area, count, product};
 use rogs_schemas::records::robot::{RobotMap, RobotMaps};
-use rogs_schemas::{ClipId, RigidPose, SchemaId};
+use rogs_schemas::{CameraIndex, ClipId, FrameIndex, RigidPose, SchemaId};
 use serde::{Deserialize, Serialize};
 
 use crate::error::Result;
@@ -50,7 +50,7 @@ struct Head {
     height: u32,
     width: u32,
     /// Camera and frame of every map.
-    maps: Vec<(u32, u32)>,
+    maps: Vec<(CameraIndex, FrameIndex)>,
 }
 
 impl Record for RobotMaps {
@@ -75,7 +75,7 @@ impl Record for RobotMaps {
         };
         writer.value("robot", &head)?;
         let shape = [self.height, self.width];
-        let at = |map: &RobotMap| [map.camera, map.frame, 0, 0];
+        let at = |map: &RobotMap| [map.camera.0, map.frame.0, 0, 0];
         let depth: Vec<_> = self.maps.iter().map(|map| (at(map), map.depth_m.as_slice())).collect();
         let link: Vec<_> = self.maps.iter().map(|map| (at(map), map.link.as_slice())).collect();
         let support: Vec<_> = self.maps.iter().map(|map| (at(map), map.support.as_slice())).collect();

@@ -1,9 +1,9 @@
 //! How scores lie in their container.
 
-use rogs_schemas::SchemaId;
 use rogs_schemas::records::check::{area, count};
 use rogs_schemas::records::origin::{ReferenceKind, ReferenceUse};
 use rogs_schemas::records::scores::{RenderedView, ScoreSheet, Scores};
+use rogs_schemas::{FrameIndex, SchemaId};
 use serde::{Deserialize, Serialize};
 
 use crate::error::Result;
@@ -34,7 +34,7 @@ const DEPTH: StreamSpec = StreamSpec {
 #[derive(Serialize, Deserialize)]
 struct RenderHead {
     camera: String,
-    frame: u32,
+    frame: FrameIndex,
     height: u32,
     width: u32,
 }

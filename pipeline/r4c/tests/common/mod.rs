@@ -14,7 +14,9 @@ use rogs_schemas::records::origin::{ReferenceKind, ReferenceOrigin, ReferenceUse
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::records::scores::{ImageScore, RenderedView, RobotDepthScore, ScoreSheet, Scores, TrackScore};
-use rogs_schemas::{CacheKey, ContentHash, Intrinsics, KeyMaterial, Provenance, RigidPose};
+use rogs_schemas::{
+    CacheKey, CameraIndex, ContentHash, EpisodeFrame, FrameIndex, Intrinsics, KeyMaterial, Provenance, RigidPose,
+};
 
 /// A folder that goes away with the value.
 pub(crate) struct Scratch(pub(crate) PathBuf);
@@ -128,10 +130,10 @@ pub(crate) fn clip() -> Clip {
         task: "put the cup on the plate".into(),
         calibration_note: "exact".into(),
         fps: 15.0,
-        episode_frames: vec![7, 8, 9],
-        source_frames: vec![0, 2],
-        query_frames: vec![1, 2],
-        anchor_frame: 0,
+        episode_frames: [7, 8, 9].map(EpisodeFrame).to_vec(),
+        source_frames: [0, 2].map(FrameIndex).to_vec(),
+        query_frames: [1, 2].map(FrameIndex).to_vec(),
+        anchor_frame: FrameIndex(0),
         height: HEIGHT,
         width: WIDTH,
         cameras: vec![
@@ -148,7 +150,14 @@ pub(crate) fn clip() -> Clip {
                     origin: ReferenceOrigin::FoundationStereo,
                 }),
             ),
-            camera("ext1_right", CameraRole::Evaluation, Some(1), trajectory, None, None),
+            camera(
+                "ext1_right",
+                CameraRole::Evaluation,
+                Some(CameraIndex(1)),
+                trajectory,
+                None,
+                None,
+            ),
         ],
         robot: RobotStates {
             joint_names: vec!["panda_joint1".into(), "panda_joint2".into()],
@@ -156,8 +165,8 @@ pub(crate) fn clip() -> Clip {
             gripper: vec![0.0, 0.5, 1.0],
         },
         tracks: Some(Tracks {
-            anchor_frame: 0,
-            camera: vec![0, 1],
+            anchor_frame: FrameIndex(0),
+            camera: [0, 1].map(CameraIndex).to_vec(),
             pixel: vec![1.0, 2.0, 3.0, 0.0],
             position_m: floats(4, 2 * FRAMES * 3),
             visible: vec![1, 1, 0, 1, 0, 0],
@@ -168,8 +177,8 @@ pub(crate) fn clip() -> Clip {
 
 pub(crate) fn robot() -> RobotMaps {
     let map = |camera, frame| RobotMap {
-        camera,
-        frame,
+        camera: CameraIndex(camera),
+        frame: FrameIndex(frame),
         depth_m: floats(u64::from(10 + camera + frame), AREA),
         link: (0..AREA as u8)
             .map(|i| if i % 3 == 0 { NO_LINK } else { i % 2 })
@@ -190,7 +199,16 @@ pub(crate) fn robot() -> RobotMaps {
 }
 
 fn views() -> Vec<SourceView> {
-    vec![SourceView { camera: 0, frame: 0 }, SourceView { camera: 0, frame: 2 }]
+    vec![
+        SourceView {
+            camera: CameraIndex(0),
+            frame: FrameIndex(0),
+        },
+        SourceView {
+            camera: CameraIndex(0),
+            frame: FrameIndex(2),
+        },
+    ]
 }
 
 pub(crate) fn conditioning() -> Conditioning {
@@ -213,7 +231,7 @@ pub(crate) fn conditioning() -> Conditioning {
         height: HEIGHT,
         width: WIDTH,
         views: views(),
-        query_frames: vec![0, 1],
+        query_frames: [0, 1].map(FrameIndex).to_vec(),
         view_maps: vec![view(vec![0, 3, 4, 14]), view(vec![])],
     }
 }
@@ -295,7 +313,7 @@ pub(crate) fn scores() -> Scores {
     let image = ImageScore {
         camera: "ext1".into(),
         source_view: true,
-        frame: 1,
+        frame: FrameIndex(1),
         psnr: Some(21.5),
         ssim: None,
         lpips: None,
@@ -308,7 +326,7 @@ pub(crate) fn scores() -> Scores {
     };
     let view = |height: u32, width: u32| RenderedView {
         camera: "ext1".into(),
-        frame: 1,
+        frame: FrameIndex(1),
         height,
         width,
         rgb: small_bytes(100, (3 * height * width) as usize, 256.0),
@@ -323,13 +341,13 @@ pub(crate) fn scores() -> Scores {
         weights: vec![weights()],
         images: vec![image],
         tracks: vec![TrackScore {
-            anchor: 0,
-            frame: 1,
+            anchor: FrameIndex(0),
+            frame: FrameIndex(1),
             epe_mm: Some(1.5),
             n_tracks: 2,
         }],
         robot_depth: vec![RobotDepthScore {
-            frame: 1,
+            frame: FrameIndex(1),
             robot_depth_mm: None,
             core_n: 0,
         }],

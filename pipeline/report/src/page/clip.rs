@@ -4,6 +4,7 @@ use std::path::Path;
 
 use maud::{Markup, html};
 use rogs_r4c::{Record, read_record};
+use rogs_schemas::FrameIndex;
 use rogs_schemas::ledger::{Attempt, Failure};
 use rogs_schemas::protocol::FailureCode;
 use rogs_schemas::records::clip::{CameraMount, Clip, ClipCamera};
@@ -90,7 +91,7 @@ fn read<R: Record>(
 /// Where the clip comes from and what it holds.
 fn facts(clip: &Clip) -> Markup {
     let cameras: Vec<String> = clip.cameras.iter().map(camera).collect();
-    let frames = |frames: &[u32]| frames.iter().map(u32::to_string).collect::<Vec<_>>().join(" ");
+    let frames = |frames: &[FrameIndex]| frames.iter().map(FrameIndex::to_string).collect::<Vec<_>>().join(" ");
     let rows = [
         ("episode", clip.episode_id.clone()),
         ("layout", clip.layout.clone()),

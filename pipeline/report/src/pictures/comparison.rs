@@ -1,5 +1,6 @@
 //! The same views by every method, side by side.
 
+use rogs_schemas::FrameIndex;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::scores::Scores;
 
@@ -38,7 +39,7 @@ pub(crate) fn comparison(clip: &Clip, scores: &[(String, Scores)]) -> Comparison
     }
     // Times in the middle of the plan: at the ends the first input frame hides what time does.
     let middle = |input: bool| {
-        let frames: Vec<u32> = (clip.query_frames.iter().copied())
+        let frames: Vec<FrameIndex> = (clip.query_frames.iter().copied())
             .filter(|frame| clip.source_frames.contains(frame) == input)
             .collect();
         frames.get(frames.len() / 2).copied()

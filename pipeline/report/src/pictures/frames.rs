@@ -2,15 +2,16 @@
 
 use rogs_schemas::records::clip::{Clip, ClipCamera};
 use rogs_schemas::records::robot::{RobotMap, RobotMaps};
+use rogs_schemas::{CameraIndex, FrameIndex};
 
 use super::picture::Picture;
 
 /// At most this many query times are shown per camera.
 const MAX_TIMES: usize = 4;
 /// The image of a camera at a clip frame.
-pub(super) fn frame_rgb(clip: &Clip, camera: &ClipCamera, frame: u32) -> Option<Picture> {
+pub(super) fn frame_rgb(clip: &Clip, camera: &ClipCamera, frame: FrameIndex) -> Option<Picture> {
     let area = (clip.height * clip.width * 3) as usize;
-    let start = frame as usize * area;
+    let start = frame.at() * area;
     Picture::from_rgb(
         clip.width,
         clip.height,
@@ -19,12 +20,12 @@ pub(super) fn frame_rgb(clip: &Clip, camera: &ClipCamera, frame: u32) -> Option<
 }
 
 /// The robot map of a camera (index) at a clip frame.
-pub(super) fn map_at(robot: &RobotMaps, camera: u32, frame: u32) -> Option<&RobotMap> {
+pub(super) fn map_at(robot: &RobotMaps, camera: CameraIndex, frame: FrameIndex) -> Option<&RobotMap> {
     robot.maps.iter().find(|map| map.camera == camera && map.frame == frame)
 }
 
 /// At most [`MAX_TIMES`] of the frames, evenly spread, first and last included.
-pub(super) fn spread(frames: &[u32]) -> Vec<u32> {
+pub(super) fn spread(frames: &[FrameIndex]) -> Vec<FrameIndex> {
     if frames.len() <= MAX_TIMES {
         return frames.to_vec();
     }
@@ -34,8 +35,8 @@ pub(super) fn spread(frames: &[u32]) -> Vec<u32> {
 }
 
 /// Frames with commas.
-pub(super) fn join(frames: &[u32]) -> String {
-    frames.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
+pub(super) fn join(frames: &[FrameIndex]) -> String {
+    frames.iter().map(FrameIndex::to_string).collect::<Vec<_>>().join(", ")
 }
 
 #[cfg(test)]
@@ -44,7 +45,8 @@ mod tests {
 
     #[test]
     fn times_are_spread_over_the_plan() {
-        assert_eq!(spread(&[0, 3, 9]), [0, 3, 9]);
-        assert_eq!(spread(&[0, 1, 2, 3, 4, 5, 16]), [0, 2, 4, 16]);
+        let shown = |frames: &[u32]| spread(&frames.iter().copied().map(FrameIndex).collect::<Vec<_>>());
+        assert_eq!(shown(&[0, 3, 9]), [0, 3, 9].map(FrameIndex));
+        assert_eq!(shown(&[0, 1, 2, 3, 4, 5, 16]), [0, 2, 4, 16].map(FrameIndex));
     }
 }

@@ -35,6 +35,8 @@ fn outline(map: &RobotMap, width: usize, height: usize) -> Vec<usize> {
 
 #[cfg(test)]
 mod tests {
+    use rogs_schemas::{CameraIndex, FrameIndex};
+
     use super::*;
 
     #[test]
@@ -47,8 +49,8 @@ mod tests {
             }
         }
         let map = RobotMap {
-            camera: 0,
-            frame: 0,
+            camera: CameraIndex(0),
+            frame: FrameIndex(0),
             depth_m: vec![1.0; 42],
             link,
             support: vec![1; 42],

@@ -1,5 +1,6 @@
 //! Sheets of pictures of a clip, one a camera: inputs, robot maps, renders.
 
+use rogs_schemas::CameraIndex;
 use rogs_schemas::records::clip::{Clip, ClipCamera};
 use rogs_schemas::records::robot::{RobotMap, RobotMaps};
 use rogs_schemas::records::scores::{RenderedView, Scores};
@@ -11,8 +12,8 @@ use super::picture::{Figure, Picture, grid};
 
 /// One strip per source camera: its images at the source times with the mesh outline.
 pub(crate) fn inputs(clip: &Clip, robot: Option<&RobotMaps>) -> Vec<Figure> {
-    let strip = |camera: u32| {
-        let source = clip.cameras.get(camera as usize)?;
+    let strip = |camera: CameraIndex| {
+        let source = clip.cameras.get(camera.at())?;
         let cells = clip.source_frames.iter().map(|&frame| {
             let mut picture = frame_rgb(clip, source, frame)?;
             if let Some(map) = robot.and_then(|robot| map_at(robot, camera, frame)) {
@@ -27,8 +28,8 @@ pub(crate) fn inputs(clip: &Clip, robot: Option<&RobotMaps>) -> Vec<Figure> {
 
 /// One sheet per source camera: mesh depth above, link ids below.
 pub(crate) fn robot(clip: &Clip, robot: &RobotMaps) -> Vec<Figure> {
-    let sheet = |camera: u32| {
-        let source = clip.cameras.get(camera as usize)?;
+    let sheet = |camera: CameraIndex| {
+        let source = clip.cameras.get(camera.at())?;
         let maps: Vec<Option<&RobotMap>> = clip
             .source_frames
             .iter()

@@ -11,7 +11,7 @@ use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, Rob
 use rogs_schemas::records::field::WeightsInfo;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::records::scores::{ImageScore, RenderedView, RobotDepthScore, ScoreSheet, Scores, TrackScore};
-use rogs_schemas::{Intrinsics, Provenance, RigidPose};
+use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex, Intrinsics, Provenance, RigidPose};
 use serde_json::{Value, json};
 
 const WIDTH: u32 = 12;
@@ -170,7 +170,7 @@ fn image(camera: u8, frame: u8) -> Vec<u8> {
 }
 
 fn the_clip(id: &str) -> Clip {
-    let camera = |index: u8, id: &str, partner: Option<u32>, mount: CameraMount| ClipCamera {
+    let camera = |index: u8, id: &str, partner: Option<CameraIndex>, mount: CameraMount| ClipCamera {
         id: id.to_owned(),
         role: if partner.is_some() {
             CameraRole::Evaluation
@@ -202,16 +202,16 @@ fn the_clip(id: &str) -> Clip {
         task: "<script>alert(1)</script>".to_owned(),
         calibration_note: "procedural: exact".to_owned(),
         fps: 15.0,
-        episode_frames: (0..FRAMES).collect(),
-        source_frames: vec![0, 2, 4],
-        query_frames: (0..FRAMES).collect(),
-        anchor_frame: 0,
+        episode_frames: (0..FRAMES).map(EpisodeFrame).collect(),
+        source_frames: [0, 2, 4].map(FrameIndex).to_vec(),
+        query_frames: (0..FRAMES).map(FrameIndex).collect(),
+        anchor_frame: FrameIndex(0),
         height: HEIGHT,
         width: WIDTH,
         cameras: vec![
             camera(0, "wrist", None, hand),
             camera(1, "ext1", None, fixed()),
-            camera(2, "ext1_right", Some(1), fixed()),
+            camera(2, "ext1_right", Some(CameraIndex(1)), fixed()),
         ],
         robot: RobotStates {
             joint_names: vec!["joint1".to_owned()],
@@ -231,8 +231,8 @@ fn robot_maps(id: &str) -> RobotMaps {
     };
     let links: Vec<u8> = (0..AREA).map(link).collect();
     let map = |camera: u32, frame: u32| RobotMap {
-        camera,
-        frame,
+        camera: CameraIndex(camera),
+        frame: FrameIndex(frame),
         depth_m: links
             .iter()
             .map(|&link| {
@@ -270,7 +270,7 @@ fn scores(clip: &str, method: &str, order: usize, index: usize) -> Scores {
         ImageScore {
             camera: camera.to_owned(),
             source_view,
-            frame,
+            frame: FrameIndex(frame),
             psnr: Some(psnr),
             ssim: Some(psnr / 30.0),
             lpips: None,
@@ -284,7 +284,7 @@ fn scores(clip: &str, method: &str, order: usize, index: usize) -> Scores {
     };
     let render = |camera: u8, name: &str, frame: u32| RenderedView {
         camera: name.to_owned(),
-        frame,
+        frame: FrameIndex(frame),
         height: HEIGHT,
         width: WIDTH,
         rgb: image(camera, frame as u8)
@@ -315,7 +315,7 @@ fn scores(clip: &str, method: &str, order: usize, index: usize) -> Scores {
                 .collect(),
             tracks: [2, 4].map(|frame| track(frame, level)).to_vec(),
             robot_depth: vec![RobotDepthScore {
-                frame: 2,
+                frame: FrameIndex(2),
                 robot_depth_mm: Some(level - 5.0),
                 core_n: 12,
             }],
@@ -336,8 +336,8 @@ fn scores(clip: &str, method: &str, order: usize, index: usize) -> Scores {
 
 fn track(frame: u32, level: f64) -> TrackScore {
     TrackScore {
-        anchor: 0,
-        frame,
+        anchor: FrameIndex(0),
+        frame: FrameIndex(frame),
         epe_mm: (frame == 4).then_some(level / 2.0),
         n_tracks: if frame == 4 { 3 } else { 0 },
     }

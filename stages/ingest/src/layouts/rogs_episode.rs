@@ -294,7 +294,7 @@ fn read_tracks(root: &Path, json: &Path, tracks: &EpisodeTracks, frames: u32) ->
             format!("{} at {index} is neither 0 nor 1", visible[index]),
         ));
     }
-    if tracks.anchor_frame >= frames {
+    if tracks.anchor_frame.0 >= frames {
         return Err(wrong(
             json,
             format!(

@@ -10,7 +10,7 @@ use rogs_schemas::episode::{
     Matrix4, PixelCentres,
 };
 use rogs_schemas::records::origin::ReferenceOrigin;
-use rogs_schemas::{Intrinsics, RigidPose};
+use rogs_schemas::{EpisodeFrame, Intrinsics, RigidPose};
 
 pub(crate) const FRAMES: u32 = 20;
 pub(crate) const WIDTH: u32 = 40;
@@ -110,7 +110,7 @@ pub(crate) fn description() -> Episode {
         },
         cameras: vec![camera("wrist", EpisodeCameraRole::Source, hand_eye), ext1, right],
         tracks: Some(EpisodeTracks {
-            anchor_frame: 2,
+            anchor_frame: EpisodeFrame(2),
             camera: "tracks/camera.npy".into(),
             pixel: "tracks/pixel.npy".into(),
             position_m: "tracks/position.npy".into(),

@@ -6,6 +6,7 @@ use rogs_schemas::pose::{Intrinsics, RigidPose};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
+use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex};
 
 pub(crate) const FRAMES: usize = 5;
 /// Depth of the robot's pixels, which lie on link 1.
@@ -62,10 +63,10 @@ pub(crate) fn small_clip([rows, columns]: [usize; 2], cameras: &[&str], queries:
         task: String::new(),
         calibration_note: String::new(),
         fps: 15.0,
-        episode_frames: (0..FRAMES as u32).collect(),
-        source_frames: vec![0, 4],
-        query_frames: queries.to_vec(),
-        anchor_frame: 0,
+        episode_frames: (0..FRAMES as u32).map(EpisodeFrame).collect(),
+        source_frames: [0, 4].map(FrameIndex).to_vec(),
+        query_frames: queries.iter().copied().map(FrameIndex).collect(),
+        anchor_frame: FrameIndex(0),
         height,
         width,
         cameras: cameras.collect(),
@@ -85,8 +86,8 @@ pub(crate) fn small_clip([rows, columns]: [usize; 2], cameras: &[&str], queries:
     };
     let map = |camera: u32, frame: u32| {
         let mut map = RobotMap {
-            camera,
-            frame,
+            camera: CameraIndex(camera),
+            frame: FrameIndex(frame),
             depth_m: vec![0.0; area],
             link: vec![NO_LINK; area],
             support: vec![0; area],
@@ -124,7 +125,9 @@ pub(crate) fn small_clip([rows, columns]: [usize; 2], cameras: &[&str], queries:
         depth_m: vec![MESH_DEPTH_M; points],
         displacement_iu: query_frames
             .iter()
-            .flat_map(|&frame| (0..points).flat_map(move |_| [0.07 * (frame as f32 - view.frame as f32), 0.01, 0.0]))
+            .flat_map(|&frame| {
+                (0..points).flat_map(move |_| [0.07 * (frame.0 as f32 - view.frame.0 as f32), 0.01, 0.0])
+            })
             .collect(),
         available: vec![1; query_frames.len()],
         prior: GripperPrior {

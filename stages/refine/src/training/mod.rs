@@ -17,6 +17,7 @@ mod targets;
 
 use burn::tensor::{Int, Tensor, TensorData};
 use rogs_field::{Correction, GateGroup};
+use rogs_schemas::FrameIndex;
 use rogs_schemas::records::refinement::RESIDUAL_CHANNELS;
 use rogs_stage2::objective::{ObjectiveTerms, ObjectiveWeights, Perceptual};
 use rogs_stage2::updater::Neighbours;
@@ -39,7 +40,7 @@ pub struct TrainingOptions<'a> {
     /// Weights of the terms.
     pub weights: ObjectiveWeights,
     /// Query times as clip frames; the field must have them stored. Empty for the source frames.
-    pub frames: &'a [u32],
+    pub frames: &'a [FrameIndex],
     /// Whether the paired-right cameras of the clip are targets too.
     pub right_views: bool,
     /// Perceptual distance of a render from its observation, for example LPIPS; without it that term is zero.

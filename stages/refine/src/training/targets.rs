@@ -7,6 +7,7 @@ use rogs_schemas::records::clip::{CameraRole, Clip, time_of_frame};
 use rogs_schemas::records::field::{Field, TimeSlice};
 use rogs_schemas::records::robot::{NO_LINK, RobotMaps};
 use rogs_schemas::units::{UNITS_PER_METRE, iu_from_m};
+use rogs_schemas::{CameraIndex, FrameIndex};
 use rogs_splat::{RasterCamera, RasterConfig, render};
 use rogs_stage2::objective::ViewSide;
 use rogs_worker::{StageError, StageResult};
@@ -104,7 +105,7 @@ impl<'a> Targets<'a> {
     }
 }
 
-fn slice_at<'a>(clip: &Clip, field: &'a Field, frame: u32) -> StageResult<&'a TimeSlice> {
+fn slice_at<'a>(clip: &Clip, field: &'a Field, frame: FrameIndex) -> StageResult<&'a TimeSlice> {
     let time = time_of_frame(frame, clip.frame_count());
     field.slice_at(time).ok_or_else(|| {
         StageError::bad_input(format!("the field has no values at frame {frame}"))
@@ -112,16 +113,22 @@ fn slice_at<'a>(clip: &Clip, field: &'a Field, frame: u32) -> StageResult<&'a Ti
     })
 }
 
-fn views(clip: &Clip, robot: &RobotMaps, field: &Field, frame: u32, right: bool) -> StageResult<Vec<TargetView>> {
+fn views(
+    clip: &Clip,
+    robot: &RobotMaps,
+    field: &Field,
+    frame: FrameIndex,
+    right: bool,
+) -> StageResult<Vec<TargetView>> {
     let pixels = (field.height * field.width) as usize;
     let mut views = Vec::new();
-    for (index, camera) in clip.cameras.iter().enumerate() {
+    for (index, camera) in CameraIndex::first(clip.cameras.len()).zip(&clip.cameras) {
         let side = match camera.role {
             CameraRole::Source => ViewSide::Source,
             CameraRole::Evaluation if right && camera.partner.is_some() => ViewSide::PairedRight,
             CameraRole::Evaluation => continue,
         };
-        let of_frame = frame as usize * pixels..(frame as usize + 1) * pixels;
+        let of_frame = frame.at() * pixels..(frame.at() + 1) * pixels;
         let rgb = camera
             .rgb
             .as_ref()
@@ -161,12 +168,12 @@ fn views(clip: &Clip, robot: &RobotMaps, field: &Field, frame: u32, right: bool)
 }
 
 /// `T_l(t) T_l(s)^-1 p` of every mesh-anchored Gaussian, `s` being its own source time.
-fn robot_target(robot: &RobotMaps, field: &Field, frame: u32) -> StageResult<RobotTarget> {
+fn robot_target(robot: &RobotMaps, field: &Field, frame: FrameIndex) -> StageResult<RobotTarget> {
     let (links, area) = (robot.link_names.len(), (field.height * field.width) as usize);
     let recon_from_base = recon_from_base(field)?;
     let base_from_recon = recon_from_base.inverse();
-    let pose = |frame: u32, link: usize| -> StageResult<Pose<Base, Link>> {
-        let stored = robot.base_from_link.get(frame as usize * links + link).ok_or_else(|| {
+    let pose = |frame: FrameIndex, link: usize| -> StageResult<Pose<Base, Link>> {
+        let stored = robot.base_from_link.get(frame.at() * links + link).ok_or_else(|| {
             StageError::bad_input(format!("the robot maps have no pose of link {link} at frame {frame}"))
         })?;
         Pose::from_rigid(stored).map_err(bad_pose)
@@ -196,7 +203,11 @@ fn robot_target(robot: &RobotMaps, field: &Field, frame: u32) -> StageResult<Rob
 }
 
 /// The tracks of every source camera, and what Stage 1 renders there.
-fn motion<'a>(inputs: &ClipInputs<'a>, params: &RefineParams, frames: &[u32]) -> StageResult<Vec<MotionTarget<'a>>> {
+fn motion<'a>(
+    inputs: &ClipInputs<'a>,
+    params: &RefineParams,
+    frames: &[FrameIndex],
+) -> StageResult<Vec<MotionTarget<'a>>> {
     let ClipInputs { clip, robot, field, .. } = *inputs;
     let Some(tracks) = &clip.tracks else {
         return Ok(Vec::new());
@@ -218,8 +229,8 @@ fn motion<'a>(inputs: &ClipInputs<'a>, params: &RefineParams, frames: &[u32]) ->
             }
         }
     }
-    let position = |track: usize, frame: u32| -> Option<DVec3> {
-        let start = (track * clip.frame_count() + frame as usize) * 3;
+    let position = |track: usize, frame: FrameIndex| -> Option<DVec3> {
+        let start = (track * clip.frame_count() + frame.at()) * 3;
         let point = Vec3::from_slice(tracks.position_m.get(start..start + 3)?).as_dvec3();
         point.is_finite().then_some(point)
     };
@@ -230,7 +241,7 @@ fn motion<'a>(inputs: &ClipInputs<'a>, params: &RefineParams, frames: &[u32]) ->
         for track in (0..tracks.camera.len()).filter(|&track| tracks.camera[track] == camera) {
             let visible = tracks
                 .visible
-                .get(track * clip.frame_count() + tracks.anchor_frame as usize)
+                .get(track * clip.frame_count() + tracks.anchor_frame.at())
                 == Some(&1);
             let [x, y] = [0, 1].map(|axis| (tracks.pixel[2 * track + axis] + 0.5).floor());
             let inside = x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32;
@@ -251,7 +262,7 @@ fn motion<'a>(inputs: &ClipInputs<'a>, params: &RefineParams, frames: &[u32]) ->
         if samples.is_empty() {
             continue;
         }
-        let view = raster_camera(clip, robot, field, camera as usize, tracks.anchor_frame)?;
+        let view = raster_camera(clip, robot, field, camera, tracks.anchor_frame)?;
         let mut scene = scene_at(
             field,
             &Correction::zero(field.len()),

@@ -7,7 +7,7 @@ use rogs_schemas::key::CacheKey;
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates, SourceView, time_of_frame};
 use rogs_schemas::records::field::{Field, RAW_CHANNELS, TimeSlice, WeightsInfo};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
-use rogs_schemas::{Intrinsics, RigidPose};
+use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex, Intrinsics, RigidPose};
 use rogs_stage2::weights::uniform;
 use rogs_stage2::{Device, Refiner, RefinerConfig, seeded_parameters};
 
@@ -72,7 +72,7 @@ pub(crate) fn example_of(sizes: Sizes, seed: u64) -> Example {
         cx: f64::from(width) / 2.0,
         cy: f64::from(height) / 2.0,
     };
-    let source_frames: Vec<u32> = (0..frames as u32).step_by(step).collect();
+    let source_frames: Vec<FrameIndex> = FrameIndex::first(frames).step_by(step).collect();
     let cameras: Vec<ClipCamera> = (0..3)
         .map(|index| ClipCamera {
             id: ["wrist", "ext1", "ext2"][index].into(),
@@ -93,10 +93,10 @@ pub(crate) fn example_of(sizes: Sizes, seed: u64) -> Example {
         task: String::new(),
         calibration_note: String::new(),
         fps: 15.0,
-        episode_frames: (0..frames as u32).collect(),
+        episode_frames: (0..frames as u32).map(EpisodeFrame).collect(),
         query_frames: source_frames.clone(),
         source_frames,
-        anchor_frame: 0,
+        anchor_frame: FrameIndex(0),
         height,
         width,
         cameras,
@@ -128,8 +128,8 @@ pub(crate) fn example_of(sizes: Sizes, seed: u64) -> Example {
 fn maps(sizes: Sizes) -> Vec<RobotMap> {
     let area = (sizes.height * sizes.width) as usize;
     let map = |camera: u32, frame: u32| RobotMap {
-        camera,
-        frame,
+        camera: CameraIndex(camera),
+        frame: FrameIndex(frame),
         depth_m: vec![0.0; area],
         link: vec![NO_LINK; area],
         support: vec![0; area],
@@ -192,7 +192,7 @@ fn field(sizes: Sizes, clip: &Clip, intrinsics: &Intrinsics, seed: u64) -> Field
         );
         // Some lie behind the cameras, where no pixel sees them.
         let depth = if n % 11 == 3 { -1.0 } else { 1.0 + depths[n] };
-        let camera = pose(views[view].camera as usize).translation;
+        let camera = pose(views[view].camera.at()).translation;
         position_m.push(((column as f64 + 0.5 - intrinsics.cx) / intrinsics.fx) as f32 * depth + camera[0] as f32);
         position_m.push(((row as f64 + 0.5 - intrinsics.cy) / intrinsics.fy) as f32 * depth + camera[1] as f32);
         position_m.push(depth);
@@ -203,7 +203,7 @@ fn field(sizes: Sizes, clip: &Clip, intrinsics: &Intrinsics, seed: u64) -> Field
         base_raw.extend(noise[3..6].iter().map(|value| half_pixel * (1.0 + value)));
         base_raw.extend([1.0 + noise[6], noise[7], noise[8], noise[9], 1.2 + noise[10]]);
     }
-    let slice = |frame: u32| {
+    let slice = |frame: FrameIndex| {
         let time = time_of_frame(frame, frames);
         let displacement_m = uniform(
             &format!("displacement {frame}"),
@@ -243,7 +243,7 @@ fn field(sizes: Sizes, clip: &Clip, intrinsics: &Intrinsics, seed: u64) -> Field
         support: vec![0; count],
         link: vec![NO_LINK; count],
         scale_cap_iu: vec![f32::INFINITY; count],
-        slices: (0..frames as u32).step_by(2).map(slice).collect(),
+        slices: FrameIndex::first(frames).step_by(2).map(slice).collect(),
         query_state: Vec::new(),
         views,
         position_m,

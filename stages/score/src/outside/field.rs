@@ -11,7 +11,7 @@ use glam::Vec3;
 use rogs_arrays::ArrayFile;
 use rogs_field::ply::read_ply_file;
 use rogs_geometry::{Base, Camera, Frame, Pose, Similarity};
-use rogs_schemas::RigidPose;
+use rogs_schemas::{CameraIndex, FrameIndex, RigidPose};
 use rogs_splat::Gaussians;
 use serde::{Deserialize, Serialize};
 
@@ -39,7 +39,7 @@ impl Frame for Left {
 /// What a folder holds.
 #[derive(Debug)]
 enum Content {
-    Ply(BTreeMap<u32, PathBuf>),
+    Ply(BTreeMap<FrameIndex, PathBuf>),
     Sampled(SampledField),
     Polynomial(PolynomialField),
     MotionBasis(MotionBasisField),
@@ -51,7 +51,7 @@ struct Part {
     folder: PathBuf,
     content: Content,
     /// Index of the source camera it was made from.
-    camera: Option<u32>,
+    camera: Option<CameraIndex>,
     base_from_field: Similarity<Base, Left>,
 }
 
@@ -71,7 +71,7 @@ impl OutsideField {
     /// When a file cannot be understood, or a folder holds more than one kind of field.
     pub fn read(
         folder: &Path,
-        cameras: &[(u32, &str, Pose<Base, Camera>)],
+        cameras: &[(CameraIndex, &str, Pose<Base, Camera>)],
         frame: FieldFrame,
         fps: f64,
     ) -> Result<Option<Self>, OutsideError> {
@@ -107,7 +107,7 @@ impl OutsideField {
 
     /// The source camera of every part; `None` for a field of all cameras.
     #[must_use]
-    pub fn cameras(&self) -> Vec<Option<u32>> {
+    pub fn cameras(&self) -> Vec<Option<CameraIndex>> {
         self.parts.iter().map(|part| part.camera).collect()
     }
 
@@ -122,7 +122,7 @@ impl OutsideField {
     ///
     /// # Errors
     /// When a file cannot be read or does not have the frame.
-    pub fn gaussians(&self, frame: u32) -> Result<Gaussians, OutsideError> {
+    pub fn gaussians(&self, frame: FrameIndex) -> Result<Gaussians, OutsideError> {
         let parts: Vec<Gaussians> = (0..self.parts.len())
             .map(|part| self.part(part, frame))
             .collect::<Result<_, _>>()?;
@@ -134,7 +134,7 @@ impl OutsideField {
     ///
     /// # Errors
     /// As [`OutsideField::gaussians`].
-    pub fn part(&self, part: usize, frame: u32) -> Result<Gaussians, OutsideError> {
+    pub fn part(&self, part: usize, frame: FrameIndex) -> Result<Gaussians, OutsideError> {
         let part = &self.parts[part];
         let (gaussians, _) = part.state(frame, self.fps)?;
         // What further channels mean is unknown.
@@ -151,7 +151,7 @@ impl OutsideField {
     ///
     /// # Errors
     /// As [`OutsideField::gaussians`].
-    pub fn displacement_m(&self, from: u32, to: u32) -> Result<Option<Vec<f32>>, OutsideError> {
+    pub fn displacement_m(&self, from: FrameIndex, to: FrameIndex) -> Result<Option<Vec<f32>>, OutsideError> {
         let mut all = Vec::new();
         for part in &self.parts {
             let Some(own) = part.displacement(from, to, self.fps)? else {
@@ -167,7 +167,7 @@ impl OutsideField {
 
 impl Part {
     /// The Gaussians at a clip frame and, where some are left out, the indices of those that are not.
-    fn state(&self, frame: u32, fps: f64) -> Result<(Gaussians, Option<Vec<u32>>), OutsideError> {
+    fn state(&self, frame: FrameIndex, fps: f64) -> Result<(Gaussians, Option<Vec<u32>>), OutsideError> {
         match &self.content {
             Content::Ply(files) => Ok((self.ply(files, frame)?, None)),
             Content::Sampled(field) => Ok((field.at(frame)?, None)),
@@ -175,11 +175,11 @@ impl Part {
                 let state = field.at(seconds(frame, fps))?;
                 Ok((state.gaussians, Some(state.kept)))
             }
-            Content::MotionBasis(field) => Ok((field.at(frame as usize)?, None)),
+            Content::MotionBasis(field) => Ok((field.at(frame.at())?, None)),
         }
     }
 
-    fn displacement(&self, from: u32, to: u32, fps: f64) -> Result<Option<Vec<f32>>, OutsideError> {
+    fn displacement(&self, from: FrameIndex, to: FrameIndex, fps: f64) -> Result<Option<Vec<f32>>, OutsideError> {
         match &self.content {
             Content::Ply(files) => {
                 let (from, to) = (self.ply(files, from)?.means, self.ply(files, to)?.means);
@@ -193,11 +193,11 @@ impl Part {
                 let of = |index: u32| all[3 * index as usize..][..3].to_vec();
                 Ok(Some(kept.into_iter().flat_map(of).collect()))
             }
-            Content::MotionBasis(field) => field.displacement_m(from as usize, to as usize).map(Some),
+            Content::MotionBasis(field) => field.displacement_m(from.at(), to.at()).map(Some),
         }
     }
 
-    fn ply(&self, files: &BTreeMap<u32, PathBuf>, frame: u32) -> Result<Gaussians, OutsideError> {
+    fn ply(&self, files: &BTreeMap<FrameIndex, PathBuf>, frame: FrameIndex) -> Result<Gaussians, OutsideError> {
         let path = files.get(&frame).ok_or_else(|| OutsideError::MissingFrame {
             frame,
             frames: files.keys().copied().collect(),
@@ -208,8 +208,8 @@ impl Part {
 }
 
 /// Seconds of a clip frame since the first.
-fn seconds(frame: u32, fps: f64) -> f32 {
-    (f64::from(frame) / fps) as f32
+fn seconds(frame: FrameIndex, fps: f64) -> f32 {
+    (f64::from(frame.0) / fps) as f32
 }
 
 /// What a folder holds, and where its frame stands.
@@ -250,7 +250,7 @@ fn content(folder: &Path) -> Result<Option<Found>, OutsideError> {
 }
 
 /// `frame-N.ply` by N.
-fn ply_files(folder: &Path) -> Result<BTreeMap<u32, PathBuf>, OutsideError> {
+fn ply_files(folder: &Path) -> Result<BTreeMap<FrameIndex, PathBuf>, OutsideError> {
     let mut files = BTreeMap::new();
     let entries = match std::fs::read_dir(folder) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(files),
@@ -265,7 +265,7 @@ fn ply_files(folder: &Path) -> Result<BTreeMap<u32, PathBuf>, OutsideError> {
             .as_deref()
             .and_then(|name| name.strip_prefix("frame-")?.strip_suffix(".ply"));
         let Some(number) = number else { continue };
-        let frame: u32 = number
+        let frame: FrameIndex = number
             .parse()
             .map_err(|_| OutsideError::file(&path, "the name must be `frame-N.ply` with a clip frame N"))?;
         if files.insert(frame, path.clone()).is_some() {

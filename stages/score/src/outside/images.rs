@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use rogs_arrays::ArrayFile;
+use rogs_schemas::FrameIndex;
 
 use crate::outside::OutsideError;
 use crate::outside::sampled::frames;
@@ -12,7 +13,7 @@ use crate::outside::sampled::frames;
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImagePredictions {
     /// Clip frames. `[Q]`
-    pub frames: Vec<u32>,
+    pub frames: Vec<FrameIndex>,
     /// By camera id.
     pub cameras: BTreeMap<String, CameraImages>,
 }
@@ -81,7 +82,7 @@ impl ImagePredictions {
     ///
     /// # Errors
     /// When there is nothing for the frame.
-    pub fn index(&self, frame: u32) -> Result<usize, OutsideError> {
+    pub fn index(&self, frame: FrameIndex) -> Result<usize, OutsideError> {
         let found = self.frames.iter().position(|&own| own == frame);
         found.ok_or_else(|| OutsideError::MissingFrame {
             frame,

@@ -21,6 +21,7 @@ pub use merge::{merge, stereo_scale};
 pub use motion_basis::{MotionBasisField, MotionBasisParts};
 pub use polynomial::{PolynomialField, PolynomialState};
 pub use recentre::mean_frame;
+use rogs_schemas::FrameIndex;
 pub use sampled::SampledField;
 
 /// Why an outside field cannot be used.
@@ -48,13 +49,13 @@ pub enum OutsideError {
     /// A clip frame that was not exported.
     #[error(
         "there is nothing for clip frame {frame}; frames: {}",
-        frames.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
+        frames.iter().map(FrameIndex::to_string).collect::<Vec<_>>().join(", ")
     )]
     MissingFrame {
         /// What was asked for.
-        frame: u32,
+        frame: FrameIndex,
         /// What is there.
-        frames: Vec<u32>,
+        frames: Vec<FrameIndex>,
     },
     /// A file that cannot be used.
     #[error("`{}`: {what}", path.display())]

@@ -1,6 +1,7 @@
 //! Gaussians given at a list of clip frames: the plainest form of a moving field.
 
 use rogs_arrays::{ANY, ArrayFile};
+use rogs_schemas::FrameIndex;
 use rogs_splat::{Colour, Gaussians};
 
 use crate::outside::OutsideError;
@@ -11,7 +12,7 @@ const MAX_GAUSSIANS: usize = 1 << 27;
 /// A field sampled at clip frames; row `n` is the same Gaussian at every time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SampledField {
-    frames: Vec<u32>,
+    frames: Vec<FrameIndex>,
     count: usize,
     means: Vec<f32>,
     quats: Vec<f32>,
@@ -78,7 +79,7 @@ impl SampledField {
     ///
     /// # Errors
     /// When the field does not have the frame.
-    pub fn at(&self, frame: u32) -> Result<Gaussians, OutsideError> {
+    pub fn at(&self, frame: FrameIndex) -> Result<Gaussians, OutsideError> {
         let time = self.index(frame)?;
         let colours = self.slice(&self.colours, 3 * self.harmonics.max(1), time).to_vec();
         Ok(Gaussians {
@@ -102,13 +103,13 @@ impl SampledField {
     ///
     /// # Errors
     /// When the field does not have a frame.
-    pub fn displacement(&self, from: u32, to: u32) -> Result<Vec<f32>, OutsideError> {
+    pub fn displacement(&self, from: FrameIndex, to: FrameIndex) -> Result<Vec<f32>, OutsideError> {
         let from = self.slice(&self.means, 3, self.index(from)?);
         let to = self.slice(&self.means, 3, self.index(to)?);
         Ok(to.iter().zip(from).map(|(to, from)| to - from).collect())
     }
 
-    fn index(&self, frame: u32) -> Result<usize, OutsideError> {
+    fn index(&self, frame: FrameIndex) -> Result<usize, OutsideError> {
         let found = self.frames.iter().position(|&own| own == frame);
         found.ok_or_else(|| OutsideError::MissingFrame {
             frame,
@@ -128,10 +129,14 @@ impl SampledField {
 }
 
 /// The array `frames`: clip frames, each once.
-pub(crate) fn frames(file: &ArrayFile) -> Result<Vec<u32>, OutsideError> {
+pub(crate) fn frames(file: &ArrayFile) -> Result<Vec<FrameIndex>, OutsideError> {
     let array = file.need(&["frames"])?;
     array.expect_shape(file.path(), &[&[ANY]])?;
-    let frames: Vec<u32> = array.into_floats().into_iter().map(|frame| frame as u32).collect();
+    let frames: Vec<FrameIndex> = array
+        .into_floats()
+        .into_iter()
+        .map(|frame| FrameIndex(frame as u32))
+        .collect();
     let mut sorted = frames.clone();
     sorted.sort_unstable();
     sorted.dedup();

@@ -3,6 +3,7 @@
 #![allow(dead_code)] // Every test program uses a part.
 
 use rogs_random::Pcg64;
+use rogs_schemas::FrameIndex;
 use rogs_schemas::records::origin::{ReferenceKind, ReferenceOrigin, ReferenceUse};
 use rogs_schemas::records::scores::{ImageScore, RobotDepthScore, ScoreSheet, TrackScore};
 use rogs_score::cohort::CohortCounts;
@@ -31,7 +32,7 @@ pub(crate) fn image(source_view: bool, frame: u32, psnr: f64) -> ImageScore {
     ImageScore {
         camera: if source_view { "wrist" } else { "wrist_right" }.into(),
         source_view,
-        frame,
+        frame: FrameIndex(frame),
         psnr: Some(psnr),
         ssim: Some(psnr / 30.0),
         lpips: None,
@@ -92,14 +93,14 @@ pub(crate) fn run() -> (Vec<ScoreSheet>, Vec<ClipTiming>) {
                 ];
                 let epe_mm = (clip != 11).then(|| 8.0 + rng.next_double());
                 sheet.tracks = vec![TrackScore {
-                    anchor: 0,
-                    frame: 3,
+                    anchor: FrameIndex(0),
+                    frame: FrameIndex(3),
                     epe_mm,
                     n_tracks: 4 * u64::from(epe_mm.is_some()),
                 }];
                 let robot_depth_mm = Some(13.0 + rng.next_double());
                 sheet.robot_depth = vec![RobotDepthScore {
-                    frame: 3,
+                    frame: FrameIndex(3),
                     robot_depth_mm,
                     core_n: 50,
                 }];

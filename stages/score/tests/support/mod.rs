@@ -21,7 +21,7 @@ use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::records::scores::Scores;
-use rogs_schemas::{Intrinsics, RigidPose};
+use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex, Intrinsics, RigidPose};
 
 pub(crate) const HEIGHT: usize = 24;
 pub(crate) const WIDTH: usize = 32;
@@ -86,15 +86,15 @@ pub(crate) fn clip(with_references: bool) -> Clip {
         task: String::new(),
         calibration_note: String::new(),
         fps: 15.0,
-        episode_frames: (0..FRAMES as u32).collect(),
-        source_frames: vec![0, 4, 8, 12, 16],
-        query_frames: QUERIES.to_vec(),
-        anchor_frame: 0,
+        episode_frames: (0..FRAMES as u32).map(EpisodeFrame).collect(),
+        source_frames: [0, 4, 8, 12, 16].map(FrameIndex).to_vec(),
+        query_frames: QUERIES.map(FrameIndex).to_vec(),
+        anchor_frame: FrameIndex(0),
         height: HEIGHT as u32,
         width: WIDTH as u32,
         cameras: vec![
             camera("wrist", CameraRole::Source, None, with_references),
-            camera("wrist_right", CameraRole::Evaluation, Some(0), false),
+            camera("wrist_right", CameraRole::Evaluation, Some(CameraIndex(0)), false),
         ],
         robot: RobotStates {
             joint_names: vec![],
@@ -102,8 +102,8 @@ pub(crate) fn clip(with_references: bool) -> Clip {
             gripper: vec![0.0; FRAMES],
         },
         tracks: with_references.then(|| Tracks {
-            anchor_frame: 0,
-            camera: vec![0; 3],
+            anchor_frame: FrameIndex(0),
+            camera: vec![CameraIndex(0); 3],
             pixel: pixels.concat(),
             position_m,
             visible: vec![1; 3 * FRAMES],
@@ -117,8 +117,8 @@ pub(crate) fn robot() -> RobotMaps {
         let mut link = vec![3u8; HEIGHT * WIDTH];
         link[..2 * WIDTH].fill(NO_LINK);
         RobotMap {
-            camera: 0,
-            frame,
+            camera: CameraIndex(0),
+            frame: FrameIndex(frame),
             depth_m: vec![1.01; HEIGHT * WIDTH],
             support: link.iter().map(|&id| u8::from(id != NO_LINK)).collect(),
             link,
@@ -178,7 +178,10 @@ pub(crate) fn field() -> Field {
         frame_count: FRAMES as u32,
         height: HEIGHT as u32,
         width: WIDTH as u32,
-        views: vec![SourceView { camera: 0, frame: 0 }],
+        views: vec![SourceView {
+            camera: CameraIndex(0),
+            frame: FrameIndex(0),
+        }],
         recon_from_base: recon_from_base(),
         weights: weights(),
         position_m,

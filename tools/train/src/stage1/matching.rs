@@ -124,6 +124,7 @@ fn seen_elsewhere(sample: &Sample, view: usize, point_iu: [f64; 3]) -> bool {
 mod tests {
     use glam::{DMat3, DVec3};
     use rogs_geometry::Pose;
+    use rogs_schemas::CameraIndex;
     use rogs_stage1::NetworkCamera;
 
     use super::*;
@@ -153,7 +154,9 @@ mod tests {
             ],
             recon_from_base_iu: Pose::IDENTITY,
             raster_cameras: Vec::new(),
-            views: vec![(0, 0.0), (1, 0.0), (2, 0.0), (0, 1.0)],
+            views: [(0, 0.0), (1, 0.0), (2, 0.0), (0, 1.0)]
+                .map(|(camera, time)| (CameraIndex(camera), time))
+                .to_vec(),
             depth_iu: vec![distance_iu; pixels],
             valid: vec![1.0; pixels],
             mesh_depth_iu: vec![0.0; pixels],

@@ -5,6 +5,7 @@ use std::path::Path;
 use burn::tensor::Device;
 use rogs_lift::{LiftParams, lift_clip, load_model};
 use rogs_refine::ClipInputs;
+use rogs_schemas::FrameIndex;
 use rogs_schemas::key::CacheKey;
 use rogs_schemas::records::field::Field;
 use rogs_tensors::device;
@@ -22,7 +23,7 @@ pub struct LiftedClip {
     /// The field of Stage 1.
     pub(super) field: Field,
     /// Query frames.
-    pub(super) frames: Vec<u32>,
+    pub(super) frames: Vec<FrameIndex>,
 }
 
 /// Lifts clips with one loaded network.

@@ -13,6 +13,7 @@ use rogs_random::Pcg64;
 use rogs_refine::training::{AdamW, TermValues, TrainingOptions, training_step};
 use rogs_refine::{LoadedRefiner, RefineParams, refine};
 use rogs_schemas::records::field::WeightsInfo;
+use rogs_schemas::{CameraIndex, FrameIndex};
 use rogs_stage2::objective::{Perceptual, RenderedView};
 use rogs_stage2::{Refiner, RefinerConfig, read_weights, seeded_parameters, verify_parameters};
 use rogs_tensors::optimiser::{self, Moments, schedule};
@@ -237,16 +238,17 @@ impl Trainer for Stage2Trainer {
             warnings: Vec::new(),
         };
         let lifter = self.lifter()?;
+        let cameras = |first| CameraIndex::first(first + SOURCE_CAMERAS).skip(first);
         for index in 0..settings.evaluation_clips {
             let plan = ClipPlan::evaluation(settings.data.held_out_seed + index, &settings.data);
             let lifted = lifter.lift(&plan, &settings.data)?;
             let refinement = refine(lifted.inputs(), &network, &self.params(most), &mut Unobserved)?;
             for updates in 0..=most {
                 for (name, frames, cameras) in [
-                    ("source", &plan.sources, 0..SOURCE_CAMERAS),
-                    ("novel", &plan.queries, SOURCE_CAMERAS..2 * SOURCE_CAMERAS),
+                    ("source", &plan.sources, cameras(0)),
+                    ("novel", &plan.queries, cameras(SOURCE_CAMERAS)),
                 ] {
-                    let views: Vec<(u32, usize)> = (frames.iter())
+                    let views: Vec<(FrameIndex, CameraIndex)> = (frames.iter())
                         .flat_map(|&frame| cameras.clone().map(move |camera| (frame, camera)))
                         .collect();
                     let mut sum = 0.0;

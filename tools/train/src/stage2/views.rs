@@ -5,6 +5,7 @@ use rogs_geometry::{Pose, PosedCamera, Recon};
 use rogs_schemas::records::clip::{Clip, time_of_frame};
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::units::LengthUnit;
+use rogs_schemas::{CameraIndex, FrameIndex};
 use rogs_splat::{RasterCamera, RasterConfig, render};
 
 use super::lifted::LiftedClip;
@@ -17,8 +18,8 @@ pub(super) fn view(
     lifted: &LiftedClip,
     refinement: &Refinement,
     updates: u32,
-    frame: u32,
-    camera: usize,
+    frame: FrameIndex,
+    camera: CameraIndex,
 ) -> Result<Vec<f32>> {
     let LiftedClip { records, field, .. } = lifted;
     let timed = TimedField::new(field)?;
@@ -29,34 +30,39 @@ pub(super) fn view(
     let frames = records.clip.frame_count();
     let scene = timed.gaussians(time_of_frame(frame, frames))?;
     let recon_from_base = Pose::from_rigid(&records.robot.recon_from_base)?;
-    let posed = PosedCamera::of_clip(&records.clip, &records.robot, camera, frame as usize)?;
+    let posed = PosedCamera::of_clip(&records.clip, &records.robot, camera, frame)?;
     let posed: PosedCamera<Recon> = posed.in_frame(&recon_from_base);
     let camera = RasterCamera::new(&posed, LengthUnit::Internal);
     Ok(render(&scene, &camera, &RasterConfig::default())?.rgb)
 }
 
 /// What a camera saw, RGB in 0..1. `[A, 3]`
-pub(super) fn seen(clip: &Clip, frame: u32, camera: usize) -> Vec<f32> {
+pub(super) fn seen(clip: &Clip, frame: FrameIndex, camera: CameraIndex) -> Vec<f32> {
     let length = 3 * clip.height as usize * clip.width as usize;
-    let images = clip.cameras[camera].rgb.as_deref().unwrap_or_default();
-    images[frame as usize * length..][..length]
+    let images = clip.cameras[camera.at()].rgb.as_deref().unwrap_or_default();
+    images[frame.at() * length..][..length]
         .iter()
         .map(|&value| f32::from(value) / 255.0)
         .collect()
 }
 
 /// Rows: seen, Stage 1, refined; columns: the source cameras.
-pub(super) fn picture(lifted: &LiftedClip, refinement: &Refinement, updates: u32, frame: u32) -> Result<Picture> {
+pub(super) fn picture(
+    lifted: &LiftedClip,
+    refinement: &Refinement,
+    updates: u32,
+    frame: FrameIndex,
+) -> Result<Picture> {
     let clip = &lifted.records.clip;
     let mut picture = Canvas::new([clip.height as usize, clip.width as usize], [3, SOURCE_CAMERAS]);
-    for camera in 0..SOURCE_CAMERAS {
+    for camera in CameraIndex::first(SOURCE_CAMERAS) {
         let images = [
             seen(clip, frame, camera),
             view(lifted, refinement, 0, frame, camera)?,
             view(lifted, refinement, updates, frame, camera)?,
         ];
         for (row, image) in images.iter().enumerate() {
-            picture.paint([row, camera], |pixel, channel| image[3 * pixel + channel]);
+            picture.paint([row, camera.at()], |pixel, channel| image[3 * pixel + channel]);
         }
     }
     Ok(picture.finish())

@@ -6,12 +6,12 @@ use std::path::PathBuf;
 use rogs_orchestrator::stage::StageId;
 use rogs_r4c::Record;
 use rogs_r4c::source::ROBOT_MODEL;
-use rogs_schemas::SchemaId;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates};
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps, RobotSpec};
+use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex, SchemaId};
 use rogs_schemas::{ClipId, Intrinsics, RigidPose};
 use rogs_worker::{Context, Stage, StageError, StageResult};
 use schemars::JsonSchema;
@@ -81,15 +81,15 @@ impl Stage for Ingest {
             task: text.clone(),
             calibration_note: "exact".into(),
             fps: 15.0 + f64::from(self.0.faster),
-            episode_frames: (0..FRAMES as u32).collect(),
-            source_frames: vec![0, 2],
-            query_frames: vec![1, 2],
-            anchor_frame: 0,
+            episode_frames: (0..FRAMES as u32).map(EpisodeFrame).collect(),
+            source_frames: [0, 2].map(FrameIndex).to_vec(),
+            query_frames: [1, 2].map(FrameIndex).to_vec(),
+            anchor_frame: FrameIndex(0),
             height: HEIGHT as u32,
             width: WIDTH as u32,
             cameras: vec![
                 camera("wrist", CameraRole::Source, None),
-                camera("wrist_right", CameraRole::Evaluation, Some(0)),
+                camera("wrist_right", CameraRole::Evaluation, Some(CameraIndex(0))),
             ],
             robot: RobotStates {
                 joint_names: vec!["j".into()],
@@ -138,8 +138,8 @@ impl Stage for Maps {
                 .map(|index| disc(index / WIDTH, index % WIDTH, frame))
                 .collect();
             RobotMap {
-                camera: 0,
-                frame: frame as u32,
+                camera: CameraIndex(0),
+                frame: FrameIndex(frame as u32),
                 depth_m: hit
                     .iter()
                     .enumerate()

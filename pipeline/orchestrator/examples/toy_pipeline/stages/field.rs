@@ -5,7 +5,6 @@ use std::path::PathBuf;
 
 use rogs_orchestrator::stage::StageId;
 use rogs_r4c::Record;
-use rogs_schemas::RigidPose;
 use rogs_schemas::SchemaId;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::Clip;
@@ -14,6 +13,7 @@ use rogs_schemas::records::field::{Field, RAW_CHANNELS, TimeSlice, WeightsInfo};
 use rogs_schemas::records::refinement::{Refinement, ScaleResidual};
 use rogs_schemas::records::robot::{NO_LINK, RobotMaps};
 use rogs_schemas::records::scores::{ImageScore, RenderedView, RobotDepthScore, ScoreSheet, Scores, TrackScore};
+use rogs_schemas::{FrameIndex, RigidPose};
 use rogs_worker::{Context, Stage, StageResult};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -68,9 +68,9 @@ impl Stage for Lift {
         misbehave(&clip.task, Self::NAME, context)?;
         let views = clip.source_views();
         let count = views.len() * HEIGHT * WIDTH;
-        let slice = |frame: u32| TimeSlice {
+        let slice = |frame: FrameIndex| TimeSlice {
             time: rogs_schemas::records::clip::time_of_frame(frame, FRAMES),
-            displacement_m: vec![0.01 * frame as f32; 3 * count],
+            displacement_m: vec![0.01 * frame.0 as f32; 3 * count],
             gate: vec![0; count],
             moving_raw: vec![],
         };
@@ -184,7 +184,7 @@ impl Stage for Score {
         let refined = context.optional_input("refinement").is_some();
         misbehave(&clip.task, Self::NAME, context)?;
         let seed = seed_of(&clip.task);
-        let image = |camera: &str, frame: u32| ImageScore {
+        let image = |camera: &str, frame: FrameIndex| ImageScore {
             camera: camera.into(),
             source_view: camera == "wrist",
             frame,
@@ -198,17 +198,17 @@ impl Stage for Score {
             far_absrel: None,
             support_n: 10,
         };
-        let render = |camera: &str, frame: u32| RenderedView {
+        let render = |camera: &str, frame: FrameIndex| RenderedView {
             camera: camera.into(),
             frame,
             height: clip.height,
             width: clip.width,
-            rgb: picture(seed + 3, frame as usize),
+            rgb: picture(seed + 3, frame.at()),
             depth_m: (0..HEIGHT * WIDTH).map(|index| 1.0 + index as f32 / 1000.0).collect(),
         };
-        let pairs: Vec<(&str, u32)> = ["wrist", "wrist_right"]
+        let pairs: Vec<(&str, FrameIndex)> = ["wrist", "wrist_right"]
             .into_iter()
-            .flat_map(|camera| [(camera, 1), (camera, 2)])
+            .flat_map(|camera| [(camera, FrameIndex(1)), (camera, FrameIndex(2))])
             .collect();
         write(
             context,
@@ -223,13 +223,13 @@ impl Stage for Score {
                     weights: vec![field.weights],
                     images: pairs.iter().map(|&(camera, frame)| image(camera, frame)).collect(),
                     tracks: vec![TrackScore {
-                        anchor: 0,
-                        frame: 2,
+                        anchor: FrameIndex(0),
+                        frame: FrameIndex(2),
                         epe_mm: None,
                         n_tracks: 0,
                     }],
                     robot_depth: vec![RobotDepthScore {
-                        frame: 2,
+                        frame: FrameIndex(2),
                         robot_depth_mm: Some(12.5),
                         core_n: 40,
                     }],
