@@ -32,6 +32,7 @@ pub mod ledger;
 pub mod pose;
 pub mod protocol;
 pub mod records;
+pub mod selection;
 pub mod units;
 
 pub use device::Device;

@@ -2,7 +2,7 @@
 //!
 //! | format | read | written |
 //! |---|---|---|
-//! | numpy `.npy` | [`NpyFile`] | [`npy_header`], [`npy_bytes`] |
+//! | numpy `.npy` | [`NpyFile`], [`npy_numbers`] | [`npy_header`], [`npy_bytes`] |
 //! | numpy `.npz`, `.safetensors` | [`ArrayFile`] | [`write_npz`] |
 //! | HDF5 | [`Hdf5File`] | |
 //! | OpenEXR, one flat part | [`FlatExr`] | [`write_exr`] |
@@ -42,7 +42,7 @@ pub use error::{Error, Problem, Result};
 pub use exr::{FlatExr, write_exr};
 pub use hdf5::{Hdf5Dataset, Hdf5Element, Hdf5File, Hdf5Value};
 pub use named::{Array, ArrayFile};
-pub use npy::{NpyFile, npy_bytes, npy_header};
+pub use npy::{NpyFile, npy_bytes, npy_header, npy_numbers};
 pub use npz::{NamedArray, write_npz};
 pub use png::{Png, write_png};
 pub use shape::ANY;

@@ -128,6 +128,15 @@ impl NpyFile {
     }
 }
 
+/// Shape and numbers, row-major, of a `.npy` file in memory: one that lies in an archive, say.
+///
+/// # Errors
+/// A sentence that says what is wrong with it.
+pub fn npy_numbers(bytes: &[u8]) -> std::result::Result<(Vec<usize>, Vec<f64>), String> {
+    let (dtype, shape, data) = parse(bytes)?;
+    Ok((shape, dtype.doubles(data)))
+}
+
 /// Type, shape and bytes of the numbers of a `.npy` file in memory.
 pub(crate) fn parse(bytes: &[u8]) -> std::result::Result<(Dtype, Vec<usize>, &[u8]), String> {
     let start = data_start(bytes)?;

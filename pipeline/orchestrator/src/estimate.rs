@@ -1,12 +1,14 @@
 //! What a run will cost: a dry run with what earlier attempts took.
 
+use std::collections::BTreeMap;
+
 use serde::Serialize;
 
 use crate::columns::columns;
 use crate::error::Result;
 use crate::executor::RunOptions;
 use crate::ledger::{StageCost, read_costs};
-use crate::plan::Plan;
+use crate::plan::{ClipInterval, InputSource, Plan, PlanSelection};
 use crate::state::OutputState;
 use crate::sys::free_disk;
 
@@ -19,6 +21,14 @@ pub struct Estimate {
     pub name: String,
     /// Clips of the plan.
     pub clips: usize,
+    /// Which frames of their episodes they are.
+    pub intervals: Vec<ClipInterval>,
+    /// How many of them have references of each role in a folder of their own; none where the manifest names no folder.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub references: BTreeMap<String, usize>,
+    /// The selection that they are of, in words.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub selection: Option<String>,
     /// Per node.
     pub nodes: Vec<NodeEstimate>,
     /// Seconds on this machine with these workers; `None` when a stage has no record yet.
@@ -78,6 +88,9 @@ pub fn estimate(plan: &Plan, options: &RunOptions) -> Result<Estimate> {
         format: "rogs-estimate 1",
         name: plan.name.clone(),
         clips: plan.clips.len(),
+        intervals: plan.clip_intervals(),
+        references: references(plan),
+        selection: plan.selection.as_ref().map(PlanSelection::describe),
         seconds: sum(|cost| cost.seconds).map(|seconds| seconds / parallel),
         disk_bytes: sum(|cost| cost.output_bytes as f64).map(|bytes| bytes as u64),
         free_bytes: plan.run.ancestors().find(|folder| folder.is_dir()).and_then(free_disk),
@@ -85,6 +98,21 @@ pub fn estimate(plan: &Plan, options: &RunOptions) -> Result<Estimate> {
         nodes,
     })
 }
+
+/// Clips that have a reference, by role, for all roles that some clip might have.
+fn references(plan: &Plan) -> BTreeMap<String, usize> {
+    let inputs = plan.nodes.iter().flat_map(|node| &node.inputs);
+    let roles = inputs.filter(|input| input.from == InputSource::Reference);
+    let mut counts: BTreeMap<String, usize> = roles.map(|input| (input.role.clone(), 0)).collect();
+    for role in plan.clips.iter().flat_map(|clip| clip.references.keys()) {
+        *counts.entry(role.clone()).or_default() += 1;
+    }
+    counts
+}
+
+/// Most lines about which frames of their episodes the clips are: those of long episodes have many starts, of which the
+/// first show the pattern.
+const INTERVALS: usize = 4;
 
 impl Estimate {
     /// The estimate as a table for people.
@@ -106,6 +134,13 @@ impl Estimate {
         }
         let units: usize = self.nodes.iter().map(|node| node.up_to_date + node.todo).sum();
         let mut lines = vec![format!("{}: {} clips, {units} units", self.name, self.clips)];
+        lines.extend(self.selection.clone());
+        lines.extend(self.intervals.iter().take(INTERVALS).map(ToString::to_string));
+        if let Some(more) = self.intervals.len().checked_sub(INTERVALS).filter(|&more| more > 0) {
+            lines.push(format!("and clips from {more} other frames"));
+        }
+        let references = self.references.iter();
+        lines.extend(references.map(|(role, clips)| format!("{role}: {clips} of {} clips", self.clips)));
         lines.extend(columns(&rows));
         lines.push(match self.seconds {
             Some(seconds) => format!("about {} with {} workers", duration(seconds), self.workers),

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::executor::RunOptions;
 use crate::manifest::Manifest;
-use crate::plan::{PLAN_FILE, Plan, make_plan, read_plan};
+use crate::plan::{PLAN_FILE, Plan, make_plan, read_header, read_plan};
 use crate::programs::StagePrograms;
 use crate::sources::SourceCache;
 
@@ -52,6 +52,7 @@ impl Prepared {
         let cache_file = manifest.run.out.join(SOURCES_FILE);
         let sources = SourceCache::open(&cache_file);
         let plan = make_plan(&manifest, &text, &programs, &sources)?;
+        same_selection(&plan)?;
         if manifest.run.out.is_dir() {
             sources.save()?;
         }
@@ -72,5 +73,26 @@ impl Prepared {
         let summary = crate::executor::execute(&self.plan, &self.options)?;
         rogs_files::write_bytes(&self.plan.run.join(MANIFEST_FILE), self.text.as_bytes())?;
         Ok(summary)
+    }
+}
+
+/// Refuses a run folder that was begun with another selection: its outputs would be of two cohorts.
+fn same_selection(plan: &Plan) -> Result<()> {
+    if !plan.run.join(PLAN_FILE).is_file() {
+        return Ok(());
+    }
+    // A plan that cannot be read is made again.
+    let Some(old) = read_header(&plan.run).ok().and_then(|old| old.selection) else {
+        return Ok(());
+    };
+    match &plan.selection {
+        Some(new) if new.source.content != old.source.content => Err(Error::usage(format!(
+            "the run folder `{}` was begun with another selection: {}; the manifest names {}",
+            plan.run.display(),
+            old.describe(),
+            new.describe()
+        ))
+        .with_hint("a cohort is fixed before outputs are seen: name another `out` in [run], or the old selection")),
+        _ => Ok(()),
     }
 }

@@ -1,5 +1,6 @@
 //! How stage programs are found and asked.
 
+use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -40,6 +41,9 @@ pub struct ListedEpisode {
     /// What ingest needs to pick it out of the folder; empty when the folder is the episode.
     #[serde(default)]
     pub selector: String,
+    /// Its frames, where they are known without opening it.
+    #[serde(default)]
+    pub frames: Option<u64>,
     /// The files it is made of, below the folder.
     #[serde(default)]
     pub files: Vec<PathBuf>,
@@ -126,6 +130,23 @@ impl StagePrograms {
             .map_err(|error| self.error(StageId::Ingest, format!("`list` did not answer with episodes: {error}")))?;
         episodes.sort_by(|a, b| (&a.episode_id, &a.folder, &a.selector).cmp(&(&b.episode_id, &b.folder, &b.selector)));
         Ok(episodes)
+    }
+
+    /// The files with references in a folder, by episode and by role; relative to the folder.
+    ///
+    /// # Errors
+    /// When ingest cannot be started or the folder cannot be read.
+    pub fn list_references(&self, root: &Path) -> Result<HashMap<String, BTreeMap<String, PathBuf>>> {
+        let output = self.answer(
+            StageId::Ingest,
+            &["references".to_owned(), root.display().to_string(), "--json".to_owned()],
+        )?;
+        serde_json::from_slice(&output).map_err(|error| {
+            self.error(
+                StageId::Ingest,
+                format!("`references` did not answer with files: {error}"),
+            )
+        })
     }
 
     fn answer(&self, stage: StageId, arguments: &[String]) -> Result<Vec<u8>> {

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use rayon::prelude::*;
@@ -23,10 +23,14 @@ struct Entry {
     hash: ContentHash,
 }
 
-/// Hashes files, each once.
+/// A file that this cache has looked at: its hash, once it is known.
+type Looked = Arc<Mutex<Option<ContentHash>>>;
+
+/// Hashes files, each once: a file that many episodes share is looked at for the first of them alone.
 #[derive(Debug, Default)]
 pub struct SourceCache {
     known: Mutex<HashMap<PathBuf, Entry>>,
+    looked: Mutex<HashMap<PathBuf, Looked>>,
     file: Option<PathBuf>,
     changed: std::sync::atomic::AtomicBool,
 }
@@ -67,6 +71,20 @@ impl SourceCache {
     /// # Errors
     /// When it cannot be read.
     pub fn file(&self, path: &Path) -> Result<ContentHash> {
+        let lock = || self.looked.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let looked = lock().entry(path.to_owned()).or_default().clone();
+        // Whoever asks for the same file waits here, and does not read it again.
+        let mut hash = looked.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        if let Some(hash) = *hash {
+            return Ok(hash);
+        }
+        let found = self.look(path)?;
+        *hash = Some(found);
+        Ok(found)
+    }
+
+    /// Content hash of a file as it is now.
+    fn look(&self, path: &Path) -> Result<ContentHash> {
         let metadata = std::fs::metadata(path);
         let stamp = metadata
             .ok()

@@ -25,6 +25,21 @@ pub struct StageSpec {
     pub filled: &'static [(&'static str, Filled)],
     /// For the stage whose parameters may differ between clips: the one that picks a clip out of its folder.
     pub selector: Option<&'static str>,
+    /// For the same stage: the parameters that say which frames of an episode are a clip.
+    pub interval: Option<Interval>,
+}
+
+/// The parameters that say which frames of an episode are a clip.
+#[derive(Debug)]
+pub struct Interval {
+    /// The first frame; null where the stage decides.
+    pub start: &'static str,
+    /// How the stage decides, as a message tells it.
+    pub decides: &'static str,
+    /// Number of frames.
+    pub frames: &'static str,
+    /// Episode frames from one to the next.
+    pub step: &'static str,
 }
 
 /// An input of a stage.
@@ -58,6 +73,8 @@ pub enum Provider {
     Episode,
     /// The clip's calibration file, where it has one.
     Calibration,
+    /// The file of this role that the episode has in the folder that `pointworld` names, where it has one.
+    Reference,
     /// The robot's URDF: `[robot] urdf`.
     Robot,
     /// The clip's file in the folder of `[latents]`.
@@ -163,6 +180,7 @@ impl StageSpec {
         outputs: &[],
         filled: &[],
         selector: None,
+        interval: None,
     };
 
     /// Stages whose outputs an output of this stage reads.
@@ -233,8 +251,18 @@ stages! {
         inputs: &[
             Input::of("episode", Provider::Episode),
             Input::of("calibration", Provider::Calibration),
+            Input::of("pointworld-cameras", Provider::Reference),
+            Input::of("pointworld-depth", Provider::Reference),
+            Input::of("pointworld-flows", Provider::Reference),
         ],
         selector: Some("episode"),
+        interval: Some(Interval {
+            start: "start_frame",
+            decides: "frame 7, where the paper's clips start (the anchor frame of its tracks where an episode has tracks, \
+                      0 where the clip would not fit)",
+            frames: "frames",
+            step: "frame_step",
+        }),
         outputs: &[Output::new("ingest", "clip.r4c")],
         ..StageSpec::PLAIN
     };

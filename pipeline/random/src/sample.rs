@@ -45,6 +45,14 @@ impl Pcg64 {
         order
     }
 
+    /// `sorted(Generator.permutation(n)[:take])`: a sample without replacement, in ascending order.
+    pub fn sorted_sample(&mut self, n: u32, take: usize) -> Vec<u32> {
+        let mut sample = self.permutation(n);
+        sample.truncate(take);
+        sample.sort_unstable();
+        sample
+    }
+
     /// `Generator.integers(0, n, count)`: `count` integers in `0..n`. All zeros for `n` of 0 or 1.
     pub fn integers(&mut self, n: u32, count: usize) -> Vec<u32> {
         (0..count).map(|_| self.lemire(n.saturating_sub(1))).collect()

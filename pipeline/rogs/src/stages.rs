@@ -52,7 +52,13 @@ mod tests {
         let filled = spec.filled.iter().map(|(name, _)| *name);
         let deciding = spec.inputs.iter().filter_map(|input| Some(input.when.as_ref()?.param));
         let unless = spec.outputs.iter().filter_map(|output| output.unless);
-        for name in filled.chain(deciding).chain(unless).chain(spec.selector) {
+        let interval = spec.interval.iter().flat_map(|own| [own.start, own.frames, own.step]);
+        for name in filled
+            .chain(deciding)
+            .chain(unless)
+            .chain(spec.selector)
+            .chain(interval)
+        {
             assert!(defaults.get(name).is_some(), "{id} has no parameter `{name}`");
         }
     }

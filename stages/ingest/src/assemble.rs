@@ -14,14 +14,15 @@ const PAPER_START: EpisodeFrame = EpisodeFrame(7);
 
 /// The interval of a clip in its episode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Interval {
-    start: EpisodeFrame,
+pub(crate) struct Interval {
+    pub(crate) start: EpisodeFrame,
     step: u32,
     count: u32,
 }
 
 impl Interval {
-    fn frames(self) -> impl Iterator<Item = EpisodeFrame> {
+    /// Its episode frames.
+    pub(crate) fn frames(self) -> impl Iterator<Item = EpisodeFrame> {
         (0..self.count).map(move |index| EpisodeFrame(self.start.0 + index * self.step))
     }
 
@@ -96,7 +97,7 @@ pub(crate) fn assemble(mut source: Source, params: &Params, clip_id: ClipId) -> 
 }
 
 /// Which frames: as the parameters say, or by the policy of [`Params::start_frame`].
-fn interval(source: &Source, params: &Params) -> StageResult<Interval> {
+pub(crate) fn interval(source: &Source, params: &Params) -> StageResult<Interval> {
     let (step, count) = (params.frame_step, params.frames);
     let span = u64::from(count - 1) * u64::from(step) + 1;
     let fits = |start: EpisodeFrame| u64::from(start.0) + span <= u64::from(source.frame_count);
@@ -197,6 +198,11 @@ fn make_camera(
         None => None,
         Some(depth) => {
             let mut depth_m = Vec::with_capacity(interval.count as usize * area);
+            // Maps of a cache have a size of their own and show the same.
+            let mapping = match &depth.cached {
+                None => mapping,
+                Some(cached) => Mapping::new(cached.size, (params.width, params.height), params.fit),
+            };
             depth.read(interval.triple(), source.frame_count, size, |map| {
                 depth_m.extend(mapping.nearest(map))
             })?;

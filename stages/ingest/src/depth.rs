@@ -7,13 +7,15 @@ use rogs_worker::StageResult;
 
 use crate::fault::{unreadable, wrong};
 use crate::images::{numbered, read_grey16};
+use crate::pointworld::read_cached;
 use crate::source::SourceDepth;
 
 /// The channel of depth in OpenEXR files, as the format's own description names it.
 const DEPTH_CHANNEL: &str = "Z";
 
 impl SourceDepth {
-    /// Hands the depth maps of these episode frames to `take` in order: metres, NaN where unknown. `[h, w]`
+    /// Hands the depth maps of these episode frames to `take` in order: metres, NaN where unknown. `[h, w]`, of the
+    /// images' size (width, height), or of [`CachedDepth::size`](crate::source::CachedDepth::size).
     pub(crate) fn read(
         &self,
         (first, step, count): (u32, u32, u32),
@@ -21,6 +23,9 @@ impl SourceDepth {
         (width, height): (u32, u32),
         mut take: impl FnMut(&[f32]),
     ) -> StageResult<()> {
+        if let Some(cached) = &self.cached {
+            return read_cached(&self.path, cached, (first, step, count), take);
+        }
         let (rows, columns) = (height as usize, width as usize);
         let frames = (0..count).map(|index| first + index * step);
         if self.path.is_file() {

@@ -4,7 +4,7 @@
 //! decoding anything; then the frames of the clip are decoded, resized and written as a
 //! [`Clip`]. Whatever is wrong with an episode is one error that names file and row.
 //!
-//! [`list_episodes`] finds what a folder holds, [`media_report`] says which videos can be decoded here.
+//! [`list_episodes`] finds what a folder holds, [`survey`] opens all of it, [`media_report`] says which videos can be decoded here.
 
 mod assemble;
 mod calibration;
@@ -16,8 +16,10 @@ mod layouts;
 mod listing;
 mod media;
 mod params;
+mod pointworld;
 mod resize;
 mod source;
+mod survey;
 mod video;
 #[cfg(feature = "libav")]
 mod video_libav;
@@ -34,7 +36,9 @@ use rogs_worker::{Context, Stage, StageError, StageResult};
 
 pub use listing::{EpisodeListing, list_episodes};
 pub use media::{MediaReport, media_report};
-pub use params::{CameraChoice, Fit, LayoutChoice, Params, QueryChoice, QueryPlanName, StateColumns};
+pub use params::{CameraChoice, Fit, LayoutChoice, Params, PointWorldParams, QueryChoice, QueryPlanName, StateColumns};
+pub use pointworld::{PointWorldFiles, ReferenceFiles, list_references};
+pub use survey::{EpisodeContent, EpisodeFacts, survey};
 
 /// The stage.
 pub struct Ingest {
@@ -52,6 +56,9 @@ impl Stage for Ingest {
         vec![
             InputDescription::required("episode", "folder"),
             InputDescription::optional("calibration", "file"),
+            InputDescription::optional(pointworld::ROLES[0], "file"),
+            InputDescription::optional(pointworld::ROLES[1], "file"),
+            InputDescription::optional(pointworld::ROLES[2], "file"),
         ]
     }
 
@@ -66,7 +73,9 @@ impl Stage for Ingest {
         let calibration = context.optional_input("calibration").map(Path::to_owned);
         let clip_id = context.clip_id().to_owned();
         let params = &self.params;
-        let (clip, warnings) = context.timed("read", |_| read_clip(&root, calibration.as_deref(), params, &clip_id))?;
+        let cache = PointWorldFiles::by_role(|role| context.optional_input(role).map(Path::to_owned));
+        let read = |_: &mut Context<'_>| read_joined_clip(&root, calibration.as_deref(), &cache, params, &clip_id);
+        let (clip, warnings) = context.timed("read", read)?;
         warnings.into_iter().for_each(|warning| context.warn(warning));
         context.progress(0.9, "writing the clip");
         context.timed("write", |context| context.write(&clip))
@@ -83,42 +92,49 @@ pub fn read_clip(
     params: &Params,
     clip_id: &str,
 ) -> StageResult<(Clip, Vec<String>)> {
-    params.check()?;
-    let source = layouts::open(root, calibration, params)?;
-    let clip_id = ClipId::new(clip_id).map_err(|error| StageError::bad_params(error.to_string()))?;
-    assemble::assemble(source, params, clip_id)
+    read_joined_clip(root, calibration, &PointWorldFiles::default(), params, clip_id)
 }
 
-/// The face `list ROOT [--json]`; `None` when the arguments ask for something else.
+/// The same with references of a PointWorld cache.
+///
+/// # Errors
+/// As for [`read_clip`], and when the cache is wrong or of another episode.
+pub fn read_joined_clip(
+    root: &Path,
+    calibration: Option<&Path>,
+    cache: &PointWorldFiles,
+    params: &Params,
+    clip_id: &str,
+) -> StageResult<(Clip, Vec<String>)> {
+    params.check()?;
+    let mut source = layouts::open(root, calibration, params)?;
+    let clip_id = ClipId::new(clip_id).map_err(|error| StageError::bad_params(error.to_string()))?;
+    let params = cache.join(&mut source, params)?;
+    assemble::assemble(source, &params, clip_id)
+}
+
+/// The faces `list ROOT [--json]` and `references ROOT [--json]`; `None` when the arguments ask for something else.
 #[must_use]
 pub fn list_main(arguments: &[std::ffi::OsString]) -> Option<std::process::ExitCode> {
     use std::process::ExitCode;
     let (first, rest) = arguments.split_first()?;
-    if first != "list" {
-        return None;
-    }
+    let face = first.to_str().filter(|face| ["list", "references"].contains(face))?;
     let json = rest.iter().any(|argument| argument == "--json");
     let roots: Vec<&std::ffi::OsString> = rest.iter().filter(|argument| *argument != "--json").collect();
     let [root] = roots[..] else {
-        rogs_worker::message!("usage: rogs-ingest list ROOT [--json]");
+        rogs_worker::message!("usage: rogs-ingest {face} ROOT [--json]");
         return Some(ExitCode::from(2));
     };
-    Some(match list_episodes(Path::new(root)) {
-        Ok(episodes) if json => {
-            rogs_worker::answer!("{}", serde_json::json!(episodes));
-            ExitCode::SUCCESS
-        }
-        Ok(episodes) => {
-            for EpisodeListing {
-                episode_id,
-                layout,
-                folder,
-                selector,
-                ..
-            } in episodes
-            {
-                rogs_worker::answer!("{episode_id}\t{layout}\t{folder}\t{selector}");
-            }
+    let lines = match face {
+        "list" => list_episodes(Path::new(root)).map(|episodes| lines(&episodes, json, episode_line)),
+        _ => list_references(Path::new(root)).map(|files| match json {
+            true => vec![serde_json::to_string(&files).unwrap_or_default()],
+            false => files.iter().flat_map(reference_lines).collect(),
+        }),
+    };
+    Some(match lines {
+        Ok(lines) => {
+            lines.iter().for_each(|line| rogs_worker::answer!("{line}"));
             ExitCode::SUCCESS
         }
         Err(error) => {
@@ -127,4 +143,30 @@ pub fn list_main(arguments: &[std::ffi::OsString]) -> Option<std::process::ExitC
             ExitCode::FAILURE
         }
     })
+}
+
+/// One JSON value (not by way of a `Value`: a data set may have a hundred thousand episodes), or a line each.
+fn lines<T: serde::Serialize>(values: &[T], json: bool, line: impl Fn(&T) -> String) -> Vec<String> {
+    match json {
+        true => vec![serde_json::to_string(values).unwrap_or_default()],
+        false => values.iter().map(line).collect(),
+    }
+}
+
+fn episode_line(episode: &EpisodeListing) -> String {
+    let EpisodeListing {
+        episode_id,
+        layout,
+        folder,
+        selector,
+        ..
+    } = episode;
+    format!("{episode_id}\t{layout}\t{folder}\t{selector}")
+}
+
+fn reference_lines((uuid, files): (&String, &BTreeMap<String, String>)) -> Vec<String> {
+    files
+        .iter()
+        .map(|(role, file)| format!("{uuid}\t{role}\t{file}"))
+        .collect()
 }

@@ -7,7 +7,7 @@ use rogs_worker::{StageError, StageResult};
 use serde::Serialize;
 
 use crate::fault::io_error;
-use crate::layouts::{Layout, ctrlworld, detect, lerobot_dataset, rogs_episode};
+use crate::layouts::{Layout, LerobotEpisode, ctrlworld, detect, lerobot_dataset, rogs_episode};
 
 /// One episode that can be ingested.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -22,6 +22,8 @@ pub struct EpisodeListing {
     pub folder: String,
     /// Value for the parameter `episode`.
     pub selector: String,
+    /// Its frames, where its description can be read; a clip is an interval of them.
+    pub frames: Option<u64>,
     /// Every file that ingest may read for it, relative to `folder`, sorted.
     pub files: Vec<String>,
 }
@@ -60,7 +62,7 @@ pub fn list_episodes(root: &Path) -> StageResult<Vec<EpisodeListing>> {
 }
 
 fn list(folder: &Path, relative: &str, layout: Layout) -> StageResult<Vec<EpisodeListing>> {
-    let listing = |episode_id: String, layout: &str, selector: String, mut files: Vec<String>| {
+    let listing = |episode_id: String, layout: &str, selector: String, frames: Option<u64>, mut files: Vec<String>| {
         files.sort();
         files.dedup();
         EpisodeListing {
@@ -69,33 +71,45 @@ fn list(folder: &Path, relative: &str, layout: Layout) -> StageResult<Vec<Episod
             layout: layout.to_owned(),
             folder: relative.to_owned(),
             selector,
+            frames,
             files,
         }
     };
     match layout {
         Layout::RogsEpisode => {
             // A description that is damaged still names an episode: by its folder.
-            let id = match rogs_episode::read_description(folder) {
-                Ok(episode) => episode.episode_id,
-                Err(_) => folder.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+            let (id, frames) = match rogs_episode::read_description(folder) {
+                Ok(episode) => (episode.episode_id, Some(u64::from(episode.frame_count))),
+                Err(_) => {
+                    let name = folder.file_name().unwrap_or_default();
+                    (name.to_string_lossy().into_owned(), None)
+                }
             };
-            Ok(vec![listing(id, "rogs-episode", String::new(), all_files(folder)?)])
+            Ok(vec![listing(
+                id,
+                "rogs-episode",
+                String::new(),
+                frames,
+                all_files(folder)?,
+            )])
         }
         Layout::DroidCtrlworld => {
             let one = |selector: String| match ctrlworld::files(folder, &selector) {
-                Ok((id, files)) => listing(id, "droid-ctrlworld", selector, files),
+                Ok((id, frames, files)) => listing(id, "droid-ctrlworld", selector, Some(frames.into()), files),
                 Err(_) => {
                     let id = selector.rsplit('/').next().unwrap_or(&selector).to_owned();
                     let files = vec![format!("annotation/{selector}.json")];
-                    listing(id, "droid-ctrlworld", selector, files)
+                    listing(id, "droid-ctrlworld", selector, None, files)
                 }
             };
             Ok(ctrlworld::selectors(folder)?.into_iter().map(one).collect())
         }
         Layout::Lerobot => {
             let dataset = lerobot_dataset(folder)?;
-            let one =
-                |(selector, files): (String, Vec<String>)| listing(selector.clone(), dataset.layout, selector, files);
+            let one = |episode: LerobotEpisode| {
+                let id = episode.selector.clone();
+                listing(id, dataset.layout, episode.selector, episode.frames, episode.files)
+            };
             Ok(dataset.episodes.into_iter().map(one).collect())
         }
     }

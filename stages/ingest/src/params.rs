@@ -41,6 +41,8 @@ pub struct Params {
     pub depth_range_m: Option<[f32; 2]>,
     /// Where joint and gripper states are, for layouts that do not say.
     pub states: StateColumns,
+    /// How caches of PointWorld are used, where the episode has some.
+    pub pointworld: PointWorldParams,
 }
 
 impl Default for Params {
@@ -60,6 +62,7 @@ impl Default for Params {
             cameras: Vec::new(),
             depth_range_m: None,
             states: StateColumns::default(),
+            pointworld: PointWorldParams::default(),
         }
     }
 }
@@ -136,6 +139,41 @@ pub struct StateColumns {
     pub invert_gripper: bool,
 }
 
+/// How the caches are used.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct PointWorldParams {
+    /// Take the refined poses of external cameras; `false` keeps the episode's own.
+    pub refined_poses: bool,
+    /// Refined poses are taken when the optimisation ended below this loss, as PointWorld takes them.
+    pub max_loss: f64,
+    /// A depth map or track position belongs to an image when their times differ by no more, milliseconds.
+    pub tolerance_ms: f64,
+}
+
+impl Default for PointWorldParams {
+    fn default() -> Self {
+        Self {
+            refined_poses: true,
+            max_loss: 0.10,
+            tolerance_ms: 20.0,
+        }
+    }
+}
+
+impl PointWorldParams {
+    /// Checks the numbers.
+    fn check(&self) -> StageResult<()> {
+        let positive = |value: f64| value.is_finite() && value > 0.0;
+        if positive(self.max_loss) && positive(self.tolerance_ms) {
+            return Ok(());
+        }
+        Err(StageError::bad_params(
+            "`pointworld.max_loss` and `pointworld.tolerance_ms` must be above 0",
+        ))
+    }
+}
+
 /// A selector that is all digits may come as a number.
 fn text_or_number<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
     #[derive(Deserialize)]
@@ -190,6 +228,6 @@ impl Params {
         {
             return wrong(format!("invalid `depth_range_m` {near} to {far}: expected an interval"));
         }
-        Ok(())
+        self.pointworld.check()
     }
 }

@@ -39,6 +39,8 @@ pub(crate) struct Source {
 #[derive(Debug)]
 pub(crate) struct SourceCamera {
     pub(crate) id: String,
+    /// Serial number of the device, where the layout knows one.
+    pub(crate) serial: Option<String>,
     pub(crate) role: CameraRole,
     /// Id of the source camera it is the partner of.
     pub(crate) partner: Option<String>,
@@ -51,6 +53,8 @@ pub(crate) struct SourceCamera {
     pub(crate) pixel_shift: f64,
     pub(crate) mount: SourceMount,
     pub(crate) images: Option<FrameSource>,
+    /// When each image was taken, milliseconds of any clock. `[F]`
+    pub(crate) times_ms: Option<Vec<f64>>,
     pub(crate) depth: Option<SourceDepth>,
 }
 
@@ -73,6 +77,19 @@ pub(crate) struct SourceDepth {
     pub(crate) path: PathBuf,
     pub(crate) range_m: [f32; 2],
     pub(crate) origin: ReferenceOrigin,
+    /// Where it is in a cache, when the path is one.
+    pub(crate) cached: Option<CachedDepth>,
+}
+
+/// Depth maps of one camera in a cache.
+#[derive(Debug, Clone)]
+pub(crate) struct CachedDepth {
+    /// Group of the camera.
+    pub(crate) group: String,
+    /// Entry for every episode frame, where there is one. `[F]`
+    pub(crate) rows: Vec<Option<usize>>,
+    /// Size of the maps, `(width, height)`; they show what the images show.
+    pub(crate) size: (u32, u32),
 }
 
 /// Joints and gripper at every frame.

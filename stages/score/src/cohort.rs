@@ -5,11 +5,17 @@ use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use rogs_random::Pcg64;
+pub use rogs_schemas::selection::{
+    Candidates, CohortCounts, ExclusionReason, RngNote, SelectedEpisode, Selection, SourceManifest,
+};
+use rogs_schemas::selection::{SELECTION_ALGORITHM, SELECTION_VERSION};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 /// Largest manifest that is read, bytes. The real one has 2.6 MB.
 const MAX_MANIFEST_BYTES: u64 = 256 << 20;
+/// Layout of the manifest.
+const MANIFEST_VERSION: &str = "wds_manifest.v1";
 /// Fewest cached frames of an eligible clip.
 const MIN_FRAMES: u32 = 24;
 /// How far a gripper value may leave [0, 1].
@@ -45,6 +51,9 @@ pub struct EpisodeRecord {
     /// Smallest and largest gripper value; none when a value is not finite.
     #[serde(default)]
     pub gripper_range: Option<[f64; 2]>,
+    /// Why ingest cannot read it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unreadable: Option<String>,
 }
 
 impl EpisodeRecord {
@@ -76,6 +85,8 @@ pub struct PointWorldManifest {
 
 #[derive(Deserialize)]
 struct RawManifest {
+    #[serde(default)]
+    schema_version: Option<String>,
     domain: String,
     seed: u64,
     #[serde(alias = "test_fraction")]
@@ -134,16 +145,22 @@ impl PointWorldManifest {
             reason,
         };
         let raw: RawManifest = serde_json::from_slice(&bytes).map_err(|error| malformed(error.to_string()))?;
+        if let Some(other) = raw
+            .schema_version
+            .as_deref()
+            .filter(|version| *version != MANIFEST_VERSION)
+        {
+            return Err(malformed(format!(
+                "its version is `{other}`, expected `{MANIFEST_VERSION}`"
+            )));
+        }
         let mut episodes = BTreeSet::new();
         for key in &raw.test_clip_keys {
             let id =
                 episode_of_key(key).ok_or_else(|| malformed(format!("clip key `{key}` does not end in -START:END")))?;
             episodes.insert(id.to_owned());
         }
-        let sha256 = Sha256::digest(&bytes)
-            .iter()
-            .map(|byte| format!("{byte:02x}"))
-            .collect();
+        let sha256 = hex(&Sha256::digest(&bytes));
         Ok(Self {
             path_name: path
                 .file_name()
@@ -156,6 +173,44 @@ impl PointWorldManifest {
             clips: raw.test_clip_keys.len(),
             episodes,
         })
+    }
+
+    /// What a selection says about it.
+    fn note(&self) -> SourceManifest {
+        SourceManifest {
+            path_name: self.path_name.clone(),
+            sha256: self.sha256.clone(),
+            domain: self.domain.clone(),
+            manifest_seed: self.seed,
+            test_fraction: self.test_fraction,
+        }
+    }
+
+    /// A list of its episodes. It says nothing about them but their ids, so the conditions of
+    /// [`PointWorldManifest::says_nothing_of`] cannot be checked.
+    #[must_use]
+    pub fn as_list(&self) -> Vec<EpisodeRecord> {
+        let record = |id: &String| EpisodeRecord {
+            episode_id: id.clone(),
+            lab: None,
+            scene: None,
+            clip_name: None,
+            train_or_val: false,
+            stereo: false,
+            frames: 0,
+            calibration: false,
+            gripper_range: None,
+            unreadable: None,
+        };
+        self.episodes.iter().map(record).collect()
+    }
+
+    /// Conditions about which [`PointWorldManifest::as_list`] says nothing: all but membership.
+    #[must_use]
+    pub fn says_nothing_of() -> Vec<ExclusionReason> {
+        let mut all = ExclusionReason::ALL.to_vec();
+        all.retain(|reason| *reason != ExclusionReason::NotInTestManifest);
+        all
     }
 
     /// Episodes by laboratory.
@@ -201,6 +256,10 @@ pub fn read_episodes(path: &Path) -> Result<Vec<EpisodeRecord>, CohortError> {
         .collect()
 }
 
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
 fn read_bounded(path: &Path) -> Result<Vec<u8>, CohortError> {
     let read = |source| CohortError::Read {
         path: path.to_owned(),
@@ -223,12 +282,16 @@ fn read_bounded(path: &Path) -> Result<Vec<u8>, CohortError> {
 /// What is asked of a cohort.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CohortOptions {
-    /// Laboratories held out.
+    /// Laboratories held out; empty for all.
     pub labs: Vec<String>,
     /// Seed of the permutation.
     pub seed: u64,
     /// Episodes to select.
     pub take: usize,
+    /// What the list was read from: `list`, `folder` or `manifest`.
+    pub source: String,
+    /// Conditions that the list says nothing about.
+    pub not_checked: Vec<ExclusionReason>,
 }
 
 impl Default for CohortOptions {
@@ -238,123 +301,32 @@ impl Default for CohortOptions {
             labs: vec!["ILIAD".into(), "PennPAL".into()],
             seed: 42,
             take: 256,
+            source: "list".into(),
+            not_checked: Vec::new(),
         }
     }
 }
 
-/// Episodes left after every step.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct CohortCounts {
-    /// Of the held-out laboratories.
-    pub reserved: usize,
-    /// With prepared clip and stereo references, outside of training and validation.
-    pub cached: usize,
-    /// In the PointWorld test set.
-    pub candidates: usize,
-    /// With enough frames, calibration and valid gripper values.
-    pub eligible: usize,
-    /// Selected.
-    pub selected: usize,
-}
-
-/// Contents of `selection.json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Selection {
-    /// Version of this layout.
-    pub schema_version: u32,
-    /// Seed of the permutation.
-    pub seed: u64,
-    /// The manifest that was used.
-    pub source_manifest: SourceManifest,
-    /// Episodes left after every step.
-    pub counts: CohortCounts,
-    /// Excluded episodes by reason, ascending.
-    pub exclusions: BTreeMap<ExclusionReason, Vec<String>>,
-    /// Number of excluded episodes by reason.
-    pub exclusion_counts: BTreeMap<ExclusionReason, usize>,
-    /// Eligible clip names, byte-wise ascending.
-    pub eligible_sorted: Vec<String>,
-    /// Indices into `eligible_sorted`, ascending.
-    pub selected_indices: Vec<u32>,
-    /// The selected episodes.
-    pub selected: Vec<SelectedEpisode>,
-    /// The generator.
-    pub rng: RngNote,
-}
-
-/// The manifest behind a selection.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct SourceManifest {
-    /// File name.
-    pub path_name: String,
-    /// SHA-256, hex.
-    pub sha256: String,
-    /// Domain.
-    pub domain: String,
-    /// Seed of the split.
-    pub manifest_seed: u64,
-    /// Fraction of clips in the test set.
-    pub test_fraction: f64,
-}
-
-/// One selected episode.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct SelectedEpisode {
-    /// Index into `eligible_sorted`.
-    pub index: u32,
-    /// Clip name.
-    pub clip_name: String,
-    /// Episode id.
-    pub episode_id: String,
-    /// Laboratory.
-    pub lab: String,
-    /// Scene, where it is known.
-    pub scene: Option<String>,
-}
-
-/// How the random numbers were made.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct RngNote {
-    /// Algorithm.
-    pub algorithm: String,
-    /// Version.
-    pub version: u32,
-}
-
-/// Why an episode is not in the cohort. The first reason that applies counts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ExclusionReason {
-    /// In the training or validation list.
-    TrainOrVal,
-    /// No prepared clip.
-    NoClip,
-    /// No stereo references.
-    NoStereo,
-    /// Not in the PointWorld test set.
-    NotInTestManifest,
-    /// Fewer than 24 cached frames.
-    TooFewFrames,
-    /// No calibration metadata.
-    NoCalibration,
-    /// A gripper value is not finite or leaves [0, 1].
-    GripperRange,
-}
-
-/// Selects the cohort.
+/// Selects the cohort. Without a manifest no episode is asked to be in the test set.
 ///
 /// # Errors
 /// When two records have the same episode id or clip name.
 pub fn select(
     episodes: &[EpisodeRecord],
-    manifest: &PointWorldManifest,
+    manifest: Option<&PointWorldManifest>,
     options: &CohortOptions,
 ) -> Result<Selection, CohortError> {
     let reserved: Vec<&EpisodeRecord> = episodes
         .iter()
-        .filter(|episode| options.labs.iter().any(|lab| lab == episode.lab()))
+        .filter(|episode| options.labs.is_empty() || options.labs.iter().any(|lab| lab == episode.lab()))
         .collect();
     no_duplicates(&reserved)?;
+    let mut candidates = candidates(&reserved, options);
+    if manifest.is_none() {
+        candidates.not_checked.push(ExclusionReason::NotInTestManifest);
+        candidates.not_checked.sort_unstable();
+        candidates.not_checked.dedup();
+    }
     let mut counts = CohortCounts {
         reserved: reserved.len(),
         ..CohortCounts::default()
@@ -362,25 +334,25 @@ pub fn select(
     let mut exclusions: BTreeMap<ExclusionReason, Vec<String>> = BTreeMap::new();
     let mut eligible: Vec<(&str, &EpisodeRecord)> = Vec::new();
     for episode in reserved {
-        match exclusion(episode, manifest) {
-            Ok(clip_name) => eligible.push((clip_name, episode)),
-            Err(reason) => exclusions.entry(reason).or_default().push(episode.episode_id.clone()),
+        match exclusion(episode, manifest, &candidates.not_checked) {
+            Some(reason) => exclusions.entry(reason).or_default().push(episode.episode_id.clone()),
+            None => eligible.push((episode.clip_name.as_deref().unwrap_or(&episode.episode_id), episode)),
         }
     }
     exclusions.values_mut().for_each(|ids| ids.sort_unstable());
     let exclusion_counts: BTreeMap<_, _> = exclusions.iter().map(|(reason, ids)| (*reason, ids.len())).collect();
-    let excluded = |reasons: std::ops::RangeInclusive<ExclusionReason>| -> usize {
-        exclusion_counts.range(reasons).map(|(_, count)| count).sum()
+    let excluded = |reasons: &[ExclusionReason]| -> usize {
+        let count = |reason| exclusion_counts.get(reason).copied().unwrap_or(0);
+        reasons.iter().map(count).sum()
     };
-    counts.cached = counts.reserved - excluded(ExclusionReason::TrainOrVal..=ExclusionReason::NoStereo);
-    counts.candidates =
-        counts.cached - excluded(ExclusionReason::NotInTestManifest..=ExclusionReason::NotInTestManifest);
+    use ExclusionReason::{NoClip, NoStereo, NotInTestManifest, TrainOrVal, Unreadable};
+    counts.cached = counts.reserved - excluded(&[TrainOrVal, NoClip, NoStereo, Unreadable]);
+    counts.candidates = counts.cached - excluded(&[NotInTestManifest]);
     counts.eligible = eligible.len();
     eligible.sort_unstable_by_key(|(clip_name, _)| *clip_name);
 
-    let order = Pcg64::from_seed(options.seed).permutation(u32::try_from(eligible.len()).unwrap_or(u32::MAX));
-    let mut selected_indices: Vec<u32> = order.into_iter().take(options.take).collect();
-    selected_indices.sort_unstable();
+    let many = u32::try_from(eligible.len()).unwrap_or(u32::MAX);
+    let selected_indices = Pcg64::from_seed(options.seed).sorted_sample(many, options.take);
     counts.selected = selected_indices.len();
     let selected = |&index: &u32| {
         let (clip_name, episode) = eligible[index as usize];
@@ -393,15 +365,10 @@ pub fn select(
         }
     };
     Ok(Selection {
-        schema_version: 1,
+        schema_version: SELECTION_VERSION,
         seed: options.seed,
-        source_manifest: SourceManifest {
-            path_name: manifest.path_name.clone(),
-            sha256: manifest.sha256.clone(),
-            domain: manifest.domain.clone(),
-            manifest_seed: manifest.seed,
-            test_fraction: manifest.test_fraction,
-        },
+        source_manifest: manifest.map(PointWorldManifest::note),
+        candidates: Some(candidates),
         counts,
         exclusions,
         exclusion_counts,
@@ -409,35 +376,106 @@ pub fn select(
         selected: selected_indices.iter().map(selected).collect(),
         selected_indices,
         rng: RngNote {
-            algorithm: "numpy-pcg64-permutation".into(),
+            algorithm: SELECTION_ALGORITHM.into(),
             version: 1,
         },
     })
 }
 
-/// The clip name of an eligible episode, or why it is not eligible.
-fn exclusion<'a>(episode: &'a EpisodeRecord, manifest: &PointWorldManifest) -> Result<&'a str, ExclusionReason> {
-    if episode.train_or_val {
-        return Err(ExclusionReason::TrainOrVal);
+/// What two selections differ in, as sentences: which was made of another list, by another seed, of another size.
+#[must_use]
+pub fn differences(old: &Selection, new: &Selection) -> Vec<String> {
+    let mut found = Vec::new();
+    let mut say = |what: &str, old: String, new: String| {
+        if old != new {
+            found.push(format!("{what}: {old}, now {new}"));
+        }
+    };
+    say("seed", old.seed.to_string(), new.seed.to_string());
+    let manifest = |one: &Selection| {
+        one.source_manifest
+            .as_ref()
+            .map_or("none".to_owned(), |own| own.sha256.clone())
+    };
+    say("test set (SHA-256)", manifest(old), manifest(new));
+    let list = |one: &Selection| {
+        one.candidates
+            .as_ref()
+            .map_or("unknown".to_owned(), |own| own.sha256.clone())
+    };
+    say("episode list (SHA-256)", list(old), list(new));
+    say(
+        "eligible episodes",
+        old.counts.eligible.to_string(),
+        new.counts.eligible.to_string(),
+    );
+    say(
+        "selected episodes",
+        old.counts.selected.to_string(),
+        new.counts.selected.to_string(),
+    );
+    let ids = |one: &Selection| {
+        one.selected
+            .iter()
+            .map(|own| own.episode_id.clone())
+            .collect::<BTreeSet<_>>()
+    };
+    let common = ids(old).intersection(&ids(new)).count();
+    if common != old.selected.len() || common != new.selected.len() {
+        found.push(format!("{common} episodes are in both"));
     }
-    let clip_name = episode.clip_name.as_deref().ok_or(ExclusionReason::NoClip)?;
-    if !episode.stereo {
-        return Err(ExclusionReason::NoStereo);
+    found
+}
+
+/// Where the records came from and what they say, in short.
+fn candidates(records: &[&EpisodeRecord], options: &CohortOptions) -> Candidates {
+    let mut sorted: Vec<&&EpisodeRecord> = records.iter().collect();
+    sorted.sort_unstable_by(|a, b| a.episode_id.cmp(&b.episode_id));
+    let mut hasher = Sha256::new();
+    for record in &sorted {
+        // A record of plain values always has a text.
+        hasher.update(serde_json::to_string(record).unwrap_or_default());
+        hasher.update(b"\n");
     }
-    if !manifest.episodes.contains(&episode.episode_id) {
-        return Err(ExclusionReason::NotInTestManifest);
+    let problem = |record: &&&EpisodeRecord| Some((record.episode_id.clone(), record.unreadable.clone()?));
+    Candidates {
+        source: options.source.clone(),
+        sha256: hex(&hasher.finalize()),
+        labs: options.labs.clone(),
+        not_checked: options.not_checked.clone(),
+        unreadable: sorted.iter().filter_map(problem).collect(),
     }
-    if episode.frames < MIN_FRAMES {
-        return Err(ExclusionReason::TooFewFrames);
-    }
-    if !episode.calibration {
-        return Err(ExclusionReason::NoCalibration);
-    }
+}
+
+/// Why an episode is not eligible, if it is not.
+fn exclusion(
+    episode: &EpisodeRecord,
+    manifest: Option<&PointWorldManifest>,
+    not_checked: &[ExclusionReason],
+) -> Option<ExclusionReason> {
     let allowed = -GRIPPER_TOLERANCE..=1.0 + GRIPPER_TOLERANCE;
-    match episode.gripper_range {
-        Some([low, high]) if allowed.contains(&low) && allowed.contains(&high) => Ok(clip_name),
-        _ => Err(ExclusionReason::GripperRange),
-    }
+    let gripper = |[low, high]: [f64; 2]| allowed.contains(&low) && allowed.contains(&high);
+    let holds = |reason: ExclusionReason| match reason {
+        ExclusionReason::Unreadable => episode.unreadable.is_some(),
+        ExclusionReason::TrainOrVal => episode.train_or_val,
+        ExclusionReason::NoClip => episode.clip_name.is_none(),
+        ExclusionReason::NoStereo => !episode.stereo,
+        ExclusionReason::NotInTestManifest => {
+            manifest.is_some_and(|manifest| !manifest.episodes.contains(&episode.episode_id))
+        }
+        ExclusionReason::TooFewFrames => episode.frames < MIN_FRAMES,
+        ExclusionReason::NoCalibration => !episode.calibration,
+        ExclusionReason::GripperRange => !episode.gripper_range.is_some_and(gripper),
+    };
+    // What cannot be read says nothing about itself, so that comes before all that would be asked of its content.
+    let first = [ExclusionReason::TrainOrVal, ExclusionReason::Unreadable];
+    let others = ExclusionReason::ALL
+        .into_iter()
+        .filter(|reason| !first.contains(reason));
+    first
+        .into_iter()
+        .chain(others)
+        .find(|reason| !not_checked.contains(reason) && holds(*reason))
 }
 
 fn no_duplicates(episodes: &[&EpisodeRecord]) -> Result<(), CohortError> {

@@ -5,8 +5,8 @@
 use rogs_needs::{needs, shared};
 use rogs_random::Pcg64;
 use rogs_score::cohort::{
-    CohortError, CohortOptions, EpisodeRecord, ExclusionReason, PointWorldManifest, episode_of_key, read_episodes,
-    select,
+    CohortError, CohortOptions, EpisodeRecord, ExclusionReason, PointWorldManifest, differences, episode_of_key,
+    read_episodes, select,
 };
 
 fn episode(number: usize) -> EpisodeRecord {
@@ -20,6 +20,7 @@ fn episode(number: usize) -> EpisodeRecord {
         frames: 33,
         calibration: true,
         gripper_range: Some([0.0, 1.0]),
+        unreadable: None,
     }
 }
 
@@ -54,7 +55,7 @@ fn every_reason_excludes_once_and_in_order() {
     });
     let selection = select(
         &episodes,
-        &manifest,
+        Some(&manifest),
         &CohortOptions {
             take: 2,
             ..CohortOptions::default()
@@ -93,9 +94,9 @@ fn the_order_of_the_list_does_not_matter() {
         take: 7,
         ..CohortOptions::default()
     };
-    let first = select(&episodes, &manifest, &options).unwrap();
+    let first = select(&episodes, Some(&manifest), &options).unwrap();
     episodes.reverse();
-    assert_eq!(first, select(&episodes, &manifest, &options).unwrap());
+    assert_eq!(first, select(&episodes, Some(&manifest), &options).unwrap());
     let text = serde_json::to_string(&first).unwrap();
     assert_eq!(
         serde_json::from_str::<rogs_score::cohort::Selection>(&text).unwrap(),
@@ -105,9 +106,76 @@ fn the_order_of_the_list_does_not_matter() {
 }
 
 #[test]
+fn what_a_list_cannot_tell_excludes_nobody_and_is_said() {
+    let episodes: Vec<EpisodeRecord> = (0..5).map(episode).collect();
+    let manifest = manifest(&episodes);
+    let options = CohortOptions {
+        source: "manifest".into(),
+        not_checked: PointWorldManifest::says_nothing_of(),
+        ..CohortOptions::default()
+    };
+    let selection = select(&manifest.as_list(), Some(&manifest), &options).unwrap();
+    assert_eq!((selection.counts.eligible, selection.exclusions.len()), (5, 0));
+    assert_eq!(selection.selected[0].clip_name, selection.selected[0].episode_id);
+    let candidates = selection.candidates.unwrap();
+    assert_eq!(candidates.source, "manifest");
+    assert!(!candidates.not_checked.contains(&ExclusionReason::NotInTestManifest));
+    assert_eq!(candidates.not_checked.len(), 7);
+    // No manifest: everybody may be selected, and the file says that this was not asked.
+    let free = select(&episodes, None, &CohortOptions::default()).unwrap();
+    assert_eq!(
+        free.candidates.unwrap().not_checked,
+        [ExclusionReason::NotInTestManifest]
+    );
+    assert_eq!((free.counts.eligible, free.source_manifest), (5, None));
+}
+
+#[test]
+fn an_episode_that_cannot_be_read_is_excluded_with_the_reason() {
+    let mut episodes: Vec<EpisodeRecord> = (0..3).map(episode).collect();
+    let manifest = manifest(&episodes);
+    episodes[1].unreadable = Some("no gripper".into());
+    episodes[1].frames = 0;
+    let selection = select(&episodes, Some(&manifest), &CohortOptions::default()).unwrap();
+    assert_eq!(selection.exclusion_counts[&ExclusionReason::Unreadable], 1);
+    assert_eq!((selection.counts.cached, selection.counts.eligible), (2, 2));
+    let candidates = selection.candidates.unwrap();
+    assert_eq!(candidates.unreadable[&episodes[1].episode_id], "no gripper");
+}
+
+#[test]
+fn selections_of_other_seeds_and_lists_are_told_apart() {
+    let episodes: Vec<EpisodeRecord> = (0..30).map(episode).collect();
+    let manifest = manifest(&episodes);
+    let options = |seed| CohortOptions {
+        take: 7,
+        seed,
+        ..CohortOptions::default()
+    };
+    let first = select(&episodes, Some(&manifest), &options(42)).unwrap();
+    assert_eq!(differences(&first, &first), Vec::<String>::new());
+    first.check().unwrap();
+    let seed = select(&episodes, Some(&manifest), &options(7)).unwrap();
+    let said = differences(&first, &seed).join("; ");
+    assert!(said.starts_with("seed: 42, now 7; "), "{said}");
+    let list = select(&episodes[..29], Some(&manifest), &options(42)).unwrap();
+    let said = differences(&first, &list).join("; ");
+    assert!(
+        said.starts_with("episode list (SHA-256): ") && said.contains("eligible episodes: 30, now 29"),
+        "{said}"
+    );
+    let mut edited = first.clone();
+    edited.selected[0].clip_name = "another".into();
+    assert!(edited.check().unwrap_err().contains("differ about `another`"));
+    edited = first.clone();
+    edited.schema_version = 3;
+    assert!(edited.check().unwrap_err().contains("version is 3"));
+}
+
+#[test]
 fn duplicates_are_refused() {
     let episodes = vec![episode(1), episode(1)];
-    let result = select(&episodes, &manifest(&episodes), &CohortOptions::default());
+    let result = select(&episodes, Some(&manifest(&episodes)), &CohortOptions::default());
     assert!(matches!(result, Err(CohortError::Duplicate { .. })));
 }
 

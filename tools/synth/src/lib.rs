@@ -26,9 +26,11 @@ mod config;
 mod episode;
 mod error;
 mod frame;
+mod hdf5;
 mod math;
 mod mesh;
 mod motion;
+mod pointworld;
 mod raycast;
 mod render;
 mod robot;
@@ -44,8 +46,10 @@ pub use config::SynthConfig;
 pub use episode::{Episode, Frame, generate_episode};
 pub use error::{Error, Result};
 pub use frame::BodyFrame;
+pub use hdf5::{Hdf5Group, Hdf5Kind};
 pub use mesh::TriMesh;
 pub use motion::Action;
+pub use pointworld::{POINTWORLD_FOLDERS, write_pointworld, write_pointworld_shard};
 pub use render::View;
 pub use robot::{
     ARM_JOINT_NAMES, ARM_JOINTS, ARM_LIMITS, FINGER_CLOSED, FLANGE_LINK, ROBOT_SPEC_FILE, ROBOT_URDF_FILE, Robot,

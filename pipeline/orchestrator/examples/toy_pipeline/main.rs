@@ -26,13 +26,20 @@ use rogs_worker::stage_main_from;
 use self::misbehaviour::keep_alive_lock;
 use self::stages::{Ingest, Kappa, Lift, Maps, Refine, Score};
 
-/// The face `list` of ingest: every text file is an episode.
+/// The face `list` of ingest: every text file is an episode; a word `frames=N` says how long it is.
 fn list(root: &Path) -> std::io::Result<String> {
     let mut episodes = Vec::new();
     for entry in std::fs::read_dir(root)? {
-        let name = entry?.file_name().to_string_lossy().into_owned();
+        let entry = entry?;
+        let name = entry.file_name().to_string_lossy().into_owned();
         if let Some(stem) = name.strip_suffix(".txt") {
-            episodes.push(serde_json::json!({"episode_id": stem, "layout": "toy", "selector": stem, "files": [name]}));
+            let text = std::fs::read_to_string(entry.path()).unwrap_or_default();
+            let mut words = text.split_whitespace();
+            let frames: Option<u64> = words.find_map(|word| word.strip_prefix("frames=")?.parse().ok());
+            episodes.push(
+                serde_json::json!({"episode_id": stem, "layout": "toy", "selector": stem, "files": [name],
+                "frames": frames}),
+            );
         }
     }
     Ok(serde_json::Value::Array(episodes).to_string())

@@ -33,7 +33,28 @@ impl Manifest {
         self.robot_spec()
             .map_err(|why| text.unknown(At::key("robot").then("spec"), &why))?;
         self.check_names(text)?;
+        self.check_cuts(text)?;
         self.check_resources(text)
+    }
+
+    /// Where clips are cut.
+    fn check_cuts(&self, text: &Text) -> Result<()> {
+        let input = self
+            .input
+            .iter()
+            .map(|input| (At::key("input"), input.stride, input.clips));
+        let episodes = self.episodes.iter().enumerate();
+        let episodes = episodes.map(|(index, one)| (At::key("episodes").item(index), one.stride, one.clips));
+        for (at, stride, clips) in input.chain(episodes) {
+            if stride == Some(0) {
+                return Err(text.error(at.then("stride"), "invalid stride 0: expected at least 1 episode frame"));
+            }
+            if stride.is_some() && clips.is_none() {
+                let error = text.error(at.then("stride"), "`stride` without `clips`: there is only one clip");
+                return Err(error.with_hint("say how many: clips = \"all\", or a number"));
+            }
+        }
+        Ok(())
     }
 
     /// Names of variants, predictions and clips.

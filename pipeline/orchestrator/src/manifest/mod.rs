@@ -1,6 +1,7 @@
 //! The manifest: what a person asks for, as TOML.
 
 mod check;
+mod cut;
 mod read;
 mod size;
 
@@ -13,6 +14,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
+pub use self::cut::ClipCount;
+pub(crate) use self::cut::Cut;
 pub use self::size::parse_size;
 use crate::stage::{StageId, WeightsRole};
 
@@ -106,12 +109,28 @@ pub struct Input {
     /// Leave out episodes whose id matches one of these patterns.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub exclude: Vec<String>,
-    /// Take at most this many, in the order of their ids.
+    /// Take the episodes of this `selection.json` that `rogs cohort` wrote, in its order and under its clip names.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub selection: Option<PathBuf>,
+    /// Take at most this many episodes, in the order of their ids (of the selection, where there is one).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limit: Option<usize>,
+    /// How many clips are cut from each episode: `"all"` that fit, or at most so many. Default: one, where `ingest`
+    /// starts it (frame 7, as in the paper, unless the episode has tracks or is too short).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clips: Option<ClipCount>,
+    /// Episode frames from the start of one clip to the start of the next; default: the length of a clip.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stride: Option<u32>,
+    /// Episode frame at which the first clip starts; default 0 where `clips` is given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start: Option<u32>,
     /// Calibration file for all of them, where the layout has none of its own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<PathBuf>,
+    /// Folder with caches of PointWorld; an episode finds its own there by its id.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pointworld: Option<PathBuf>,
     /// Parameters of `ingest` for these episodes only.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub ingest: Params,
@@ -129,9 +148,22 @@ pub struct Episode {
     /// Name of the clip (`[A-Za-z0-9._+-]{1,128}`); default: made from the episode's id.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub id: Option<String>,
+    /// How many clips are cut from it: `"all"` that fit, or at most so many. Default: one, where `ingest`
+    /// starts it (frame 7, as in the paper, unless the episode has tracks or is too short).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clips: Option<ClipCount>,
+    /// Episode frames from the start of one clip to the start of the next; default: the length of a clip.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stride: Option<u32>,
+    /// Episode frame at which the first clip starts; default 0 where `clips` is given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start: Option<u32>,
     /// Calibration file, where the layout has none of its own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<PathBuf>,
+    /// Folder with caches of PointWorld; an episode finds its own there by its id.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pointworld: Option<PathBuf>,
     /// Parameters of `ingest` for this episode only.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub ingest: Params,

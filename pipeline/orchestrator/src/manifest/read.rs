@@ -78,10 +78,13 @@ impl Manifest {
         if let Some(input) = &mut self.input {
             fix(&mut input.root);
             fix_some(&mut input.calibration);
+            fix_some(&mut input.pointworld);
+            fix_some(&mut input.selection);
         }
         for episode in &mut self.episodes {
             fix(&mut episode.root);
             fix_some(&mut episode.calibration);
+            fix_some(&mut episode.pointworld);
         }
         self.predictions
             .iter_mut()

@@ -1,35 +1,57 @@
 //! The clips of a plan: which episodes, under which names, with which content.
 
-use std::collections::{BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use rayon::prelude::*;
 use rogs_schemas::ContentHash;
 use rogs_schemas::ids::did_you_mean;
+use rogs_schemas::selection::Selection;
 use serde_json::Map;
 
 use super::model::{Plan, PlannedClip, PlannedSource, latents_file};
 use super::params::normalise_overrides;
+use super::selection::read_selection;
 use crate::diagnose::{At, Text};
 use crate::error::Result;
-use crate::manifest::{Episode, Input, Manifest, Params, safe_name};
+use crate::manifest::{Cut, Episode, Input, Manifest, Params, safe_name};
 use crate::programs::{ListedEpisode, StagePrograms};
 use crate::sources::SourceCache;
 use crate::stage::StageId;
 
-/// One episode that was asked for, before its content is known.
+/// One clip that was asked for, before its content is known.
+#[derive(Clone)]
 struct Asked<'a> {
     /// Which of `[[episodes]]` asks for it; `None`: `[input]`.
     table: Option<usize>,
     root: PathBuf,
     listed: Arc<ListedEpisode>,
     id: Option<&'a str>,
+    /// Name that a selection gives it.
+    name: Option<String>,
     calibration: Option<&'a PathBuf>,
+    pointworld: Option<&'a PathBuf>,
     ingest: &'a Params,
+    cut: Option<Cut>,
+    /// Episode frame at which the clip starts, where the manifest says so.
+    start: Option<u32>,
 }
 
 impl Asked<'_> {
+    /// What its name ends in: where it starts, when there may be several clips of its episode.
+    fn ending(&self) -> String {
+        match (self.cut, self.start) {
+            (Some(Cut { several: true, .. }), Some(start)) => format!("-f{start:06}"),
+            _ => String::new(),
+        }
+    }
+
+    /// The name that a person chose for it.
+    fn chosen(&self) -> Option<String> {
+        self.id.map(|id| format!("{id}{}", self.ending()))
+    }
+
     /// The table of the manifest that asks for it.
     fn at(&self) -> At<'static> {
         self.table.map_or(At::key("input"), episode_table)
@@ -59,10 +81,15 @@ pub(super) fn add_clips(
         asked.push(pick(episode, index, listing, text)?);
     }
     if let Some(input) = &manifest.input {
-        asked.extend(filter(
-            input,
-            listings.of(text, At::key("input").then("root"), &input.root)?,
-        ));
+        let listing = listings.of(text, At::key("input").then("root"), &input.root)?;
+        asked.extend(match &input.selection {
+            None => filter(input, listing),
+            Some(path) => {
+                let (selection, note) = read_selection(path, text, sources)?;
+                plan.selection = Some(note);
+                selected(input, &selection, listing, text)?
+            }
+        });
         if asked.is_empty() {
             let error = text.error(
                 At::key("input"),
@@ -71,20 +98,16 @@ pub(super) fn add_clips(
             return Err(error.with_hint("check `include`, `exclude`, `layout` and `limit`"));
         }
     }
+    let (asked, normalised) = cut_all(asked, plan, text, programs)?;
     let ids = names(&asked, text)?;
-    let mut overrides = HashMap::new();
-    let mut normalised = Vec::with_capacity(asked.len());
-    for asked in &asked {
-        let map = match plan.nodes.iter().find(|node| node.stage == StageId::Ingest) {
-            Some(node) => normalise_overrides(programs, node, asked.ingest, &mut overrides)?,
-            None => Map::new(),
-        };
-        normalised.push(map);
-    }
     let contents: Vec<_> = asked
         .par_iter()
         .map(|asked| sources.episode(&asked.root, &asked.listed.files))
         .collect();
+    let mut references = References {
+        programs,
+        known: HashMap::new(),
+    };
     let (mut roots, mut calibrations) = (HashMap::new(), HashMap::new());
     for (((asked, id), content), ingest) in asked.iter().zip(ids).zip(contents).zip(normalised) {
         let calibration = match asked.calibration {
@@ -97,6 +120,10 @@ pub(super) fn add_clips(
                     index
                 }
             }),
+        };
+        let references = match asked.pointworld {
+            Some(root) => references.of(text, asked, root, sources)?,
+            None => BTreeMap::new(),
         };
         let predictions = predictions(plan, &id, sources)?;
         let latents = plan.latents.as_ref().map(|root| latents_file(root, &id));
@@ -114,11 +141,90 @@ pub(super) fn add_clips(
             selector: asked.listed.selector.clone(),
             content: content?,
             calibration,
+            references,
             ingest,
         };
         plan.clips.push(clip);
     }
     Ok(())
+}
+
+/// The clips of every episode, with their parameters.
+fn cut_all<'a>(
+    asked: Vec<Asked<'a>>,
+    plan: &Plan,
+    text: &Text,
+    programs: &StagePrograms,
+) -> Result<(Vec<Asked<'a>>, Vec<Params>)> {
+    let node = plan.nodes.iter().find(|node| node.stage == StageId::Ingest);
+    let (mut clips, mut params, mut known) = (Vec::new(), Vec::new(), HashMap::new());
+    for asked in asked {
+        let own = match node {
+            Some(node) => normalise_overrides(programs, node, asked.ingest, &mut known)?,
+            None => Map::new(),
+        };
+        let interval = node.and_then(|node| Some((node, node.stage.spec().interval.as_ref()?)));
+        let (Some(cut), Some((node, names))) = (asked.cut, interval) else {
+            clips.push(asked);
+            params.push(own);
+            continue;
+        };
+        let value = |name: &str| own.get(name).or_else(|| node.params.get(name));
+        if value(names.start).is_some_and(|start| !start.is_null()) {
+            let message = format!(
+                "`{}` of `ingest` and `clips` or `start` both say where clips start",
+                names.start
+            );
+            return Err(text.error(asked.at(), message).with_hint("keep one of them"));
+        }
+        let number = |name: &str| value(name).and_then(serde_json::Value::as_u64).unwrap_or(1);
+        let span = number(names.frames).saturating_sub(1) * number(names.step) + 1;
+        for start in cut.starts(span, asked.listed.frames) {
+            let mut own = own.clone();
+            own.insert(names.start.to_owned(), start.into());
+            params.push(own);
+            clips.push(Asked {
+                start: Some(start),
+                ..asked.clone()
+            });
+        }
+    }
+    Ok((clips, params))
+}
+
+/// Folders with references, each looked through once.
+struct References<'a> {
+    programs: &'a StagePrograms,
+    known: HashMap<PathBuf, HashMap<String, BTreeMap<String, PathBuf>>>,
+}
+
+impl References<'_> {
+    /// The files of an episode, by role; empty when it has none.
+    fn of(
+        &mut self,
+        text: &Text,
+        asked: &Asked<'_>,
+        root: &Path,
+        sources: &SourceCache,
+    ) -> Result<BTreeMap<String, PlannedSource>> {
+        if !self.known.contains_key(root) {
+            if !root.is_dir() {
+                let error = text.error(
+                    asked.at().then("pointworld"),
+                    format!("`{}` is not a folder", root.display()),
+                );
+                return Err(error.with_hint("paths in a manifest are relative to the manifest's folder"));
+            }
+            self.known.insert(root.to_owned(), self.programs.list_references(root)?);
+        }
+        let files = self.known[root].get(&asked.listed.episode_id).into_iter().flatten();
+        let source = |(role, file): (&String, &PathBuf)| {
+            let path = root.join(file);
+            let content = sources.source(role, &path)?;
+            Ok((role.clone(), PlannedSource { path, content }))
+        };
+        files.map(source).collect()
+    }
 }
 
 struct Listings<'a> {
@@ -220,8 +326,12 @@ fn pick<'a>(episode: &'a Episode, index: usize, listing: &Listing, text: &Text) 
         root: folder_of(&episode.root, listed),
         listed: Arc::clone(listed),
         id: episode.id.as_deref(),
+        name: None,
         calibration: episode.calibration.as_ref(),
+        pointworld: episode.pointworld.as_ref(),
         ingest: &episode.ingest,
+        cut: episode.cut(),
+        start: None,
     })
 }
 
@@ -242,15 +352,73 @@ fn filter<'a>(input: &'a Input, listing: &Listing) -> Vec<Asked<'a>> {
             && (input.include.is_empty() || include.fit(listed))
             && !exclude.fit(listed)
     });
-    let make = |listed: &Arc<ListedEpisode>| Asked {
+    let taken = taken.take(input.limit.unwrap_or(usize::MAX));
+    taken.map(|listed| of_input(input, listed, None)).collect()
+}
+
+/// An episode of an `[input]` table, under the name that a selection gives it.
+fn of_input<'a>(input: &'a Input, listed: &Arc<ListedEpisode>, name: Option<String>) -> Asked<'a> {
+    Asked {
         table: None,
         root: folder_of(&input.root, listed),
         listed: Arc::clone(listed),
         id: None,
+        name,
         calibration: input.calibration.as_ref(),
+        pointworld: input.pointworld.as_ref(),
         ingest: &input.ingest,
-    };
-    taken.take(input.limit.unwrap_or(usize::MAX)).map(make).collect()
+        cut: input.cut(),
+        start: None,
+    }
+}
+
+/// The episodes of an `[input]` table that a selection names, in its order. `layout`, `include`, `exclude` and `limit`
+/// take some of them; one that is not there is an error, unless `exclude` names it.
+fn selected<'a>(input: &'a Input, selection: &Selection, listing: &Listing, text: &Text) -> Result<Vec<Asked<'a>>> {
+    let (include, exclude) = (Patterns::new(&input.include), Patterns::new(&input.exclude));
+    let (mut taken, mut missing) = (Vec::new(), Vec::new());
+    for own in &selection.selected {
+        if taken.len() + missing.len() == input.limit.unwrap_or(usize::MAX) {
+            break;
+        }
+        let names = || [own.episode_id.clone(), own.clip_name.clone()].into_iter();
+        if exclude.fit_any(names()) || !(input.include.is_empty() || include.fit_any(names())) {
+            continue;
+        }
+        let called = listing.called(Some(&own.episode_id));
+        let wanted =
+            |listed: &&&Arc<ListedEpisode>| input.layout.as_ref().is_none_or(|layout| *layout == listed.layout);
+        match called.iter().filter(wanted).collect::<Vec<_>>()[..] {
+            [] => missing.push(own.episode_id.as_str()),
+            [listed] => taken.push(of_input(input, listed, Some(own.clip_name.clone()))),
+            ref several => {
+                let message = format!(
+                    "the selected episode `{}` lies {} times in `{}`",
+                    own.episode_id,
+                    several.len(),
+                    input.root.display()
+                );
+                return Err(text
+                    .error(At::key("input").then("selection"), message)
+                    .with_hint("name a folder that holds it once, or its `layout`"));
+            }
+        }
+    }
+    if missing.is_empty() {
+        return Ok(taken);
+    }
+    let some: Vec<&str> = missing.iter().take(8).copied().collect();
+    let message = format!(
+        "{} of the {} selected episodes are not in `{}`: {}{}",
+        missing.len(),
+        selection.selected.len(),
+        input.root.display(),
+        some.join(", "),
+        if missing.len() > some.len() { ", ..." } else { "" }
+    );
+    Err(text.error(At::key("input").then("selection"), message).with_hint(
+        "a cohort stays what was drawn: fetch them, or leave them out by name with `exclude`, and the tables count fewer clips",
+    ))
 }
 
 /// Patterns over the names of episodes. Those without wildcards may be as many as there are episodes.
@@ -273,8 +441,13 @@ impl<'a> Patterns<'a> {
 
     /// True when one of them fits one of the episode's names.
     fn fit(&self, listed: &ListedEpisode) -> bool {
+        self.fit_any(listed.names())
+    }
+
+    /// True when one of them fits one of these names.
+    fn fit_any(&self, mut names: impl Iterator<Item = String>) -> bool {
         let any = !self.names.is_empty() || !self.wild.is_empty();
-        any && listed.names().any(|name| {
+        any && names.any(|name| {
             self.names.contains(name.as_str()) || self.wild.iter().any(|pattern| crate::glob::matches(pattern, &name))
         })
     }
@@ -284,7 +457,7 @@ impl<'a> Patterns<'a> {
 fn names(asked: &[Asked<'_>], text: &Text) -> Result<Vec<String>> {
     let mut taken = BTreeSet::new();
     for asked in asked {
-        if let Some(id) = asked.id.filter(|id| !taken.insert(id.to_lowercase())) {
+        if let Some(id) = asked.chosen().filter(|id| !taken.insert(id.to_lowercase())) {
             let message = format!("two episodes have the id `{id}`");
             return Err(text.error(asked.at().then("id"), message));
         }
@@ -292,29 +465,36 @@ fn names(asked: &[Asked<'_>], text: &Text) -> Result<Vec<String>> {
     let mut ids = Vec::with_capacity(asked.len());
     let mut seen = BTreeSet::new();
     for asked in asked {
-        if let Some(id) = asked.id {
-            ids.push(id.to_owned());
+        if let Some(id) = asked.chosen() {
+            ids.push(id);
             continue;
         }
-        if !seen.insert((&asked.root, asked.listed.selector.as_str())) {
+        let twice = || {
             let message = format!("the episode `{}` is named twice", asked.listed.episode_id);
-            return Err(text.error(asked.at(), message).with_hint("give each its own `id`"));
+            text.error(asked.at(), message).with_hint("give each its own `id`")
+        };
+        if !seen.insert((&asked.root, asked.listed.selector.as_str(), asked.start)) {
+            return Err(twice());
         }
-        let name = [&asked.listed.name, &asked.listed.episode_id]
-            .into_iter()
-            .find(|name| !name.is_empty());
-        let mut id = safe_name(name.map_or("episode", String::as_str));
-        if taken.contains(&id.to_lowercase()) {
+        let name = [
+            asked.name.as_ref(),
+            Some(&asked.listed.name),
+            Some(&asked.listed.episode_id),
+        ];
+        let name = name.into_iter().flatten().find(|name| !name.is_empty());
+        let (mut id, ending) = (safe_name(name.map_or("episode", String::as_str)), asked.ending());
+        id.truncate(128 - ending.len());
+        if taken.contains(&format!("{id}{ending}").to_lowercase()) {
             // Of the folder only its name, so that moving the data does not rename clips.
             let folder = asked.root.file_name().map(|name| name.to_string_lossy().into_owned());
             let origin = format!("{}\0{}", folder.unwrap_or_default(), asked.listed.selector);
             let suffix = &blake3::hash(origin.as_bytes()).to_hex()[..8];
-            id.truncate(119);
+            id.truncate(119 - ending.len());
             id = format!("{id}-{suffix}");
         }
+        id.push_str(&ending);
         if !taken.insert(id.to_lowercase()) {
-            let message = format!("the episode `{}` is named twice", asked.listed.episode_id);
-            return Err(text.error(asked.at(), message).with_hint("give each its own `id`"));
+            return Err(twice());
         }
         ids.push(id);
     }

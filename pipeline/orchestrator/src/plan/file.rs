@@ -1,6 +1,7 @@
 //! `plan.jsonl`: a header line, then one line a clip.
 
-use std::io::{BufRead, BufReader, Write as _};
+use std::fs::File;
+use std::io::{BufRead, BufReader, Lines, Write as _};
 use std::path::Path;
 
 use super::model::{InputSource, NodeInput, PLAN_FORMAT, Plan, PlannedClip};
@@ -33,32 +34,9 @@ impl Plan {
 /// # Errors
 /// When the folder has none, or it is damaged or of another version.
 pub fn read_plan(run: &Path) -> Result<Plan> {
+    let (mut plan, lines) = open(run)?;
     let path = run.join(PLAN_FILE);
-    let file = std::fs::File::open(&path).map_err(|error| match error.kind() {
-        std::io::ErrorKind::NotFound => Error::usage(format!(
-            "`{}` is not a run folder: it has no {PLAN_FILE}",
-            run.display()
-        ))
-        .with_hint("name the `out` folder of a manifest that has been run or planned"),
-        _ => io("cannot read", &path)(error),
-    })?;
-    let damaged = |line: usize, why: &dyn std::fmt::Display| {
-        Error::usage(format!("`{}` is damaged at line {line}: {why}", path.display()))
-            .with_hint("run the manifest to make it again (finished outputs are kept)")
-    };
-    let mut lines = BufReader::new(file).lines();
-    let header = lines
-        .next()
-        .ok_or_else(|| damaged(1, &"it is empty"))?
-        .map_err(io("cannot read", &path))?;
-    let mut plan: Plan = serde_json::from_str(&header).map_err(|error| damaged(1, &error))?;
-    if plan.format != PLAN_FORMAT {
-        return Err(damaged(
-            1,
-            &format!("format `{}`, expected `{PLAN_FORMAT}`", plan.format),
-        ));
-    }
-    plan.run = std::path::absolute(run).map_err(io("cannot find", run))?;
+    let damaged = |line: usize, why: &dyn std::fmt::Display| damaged(&path, line, why);
     for (index, line) in lines.enumerate() {
         let line = line.map_err(io("cannot read", &path))?;
         let clip: PlannedClip = serde_json::from_str(&line).map_err(|error| damaged(index + 2, &error))?;
@@ -74,6 +52,44 @@ pub fn read_plan(run: &Path) -> Result<Plan> {
     }
     plan.check_nodes().map_err(|why| damaged(1, &why))?;
     Ok(plan)
+}
+
+/// Reads the plan of a run folder without its clips.
+///
+/// # Errors
+/// See [`read_plan`].
+pub fn read_header(run: &Path) -> Result<Plan> {
+    Ok(open(run)?.0)
+}
+
+/// The header of a plan file, and the lines of its clips.
+fn open(run: &Path) -> Result<(Plan, Lines<BufReader<File>>)> {
+    let path = run.join(PLAN_FILE);
+    let file = File::open(&path).map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound => Error::usage(format!(
+            "`{}` is not a run folder: it has no {PLAN_FILE}",
+            run.display()
+        ))
+        .with_hint("name the `out` folder of a manifest that has been run or planned"),
+        _ => io("cannot read", &path)(error),
+    })?;
+    let mut lines = BufReader::new(file).lines();
+    let header = lines
+        .next()
+        .ok_or_else(|| damaged(&path, 1, &"it is empty"))?
+        .map_err(io("cannot read", &path))?;
+    let mut plan: Plan = serde_json::from_str(&header).map_err(|error| damaged(&path, 1, &error))?;
+    if plan.format != PLAN_FORMAT {
+        let why = format!("format `{}`, expected `{PLAN_FORMAT}`", plan.format);
+        return Err(damaged(&path, 1, &why));
+    }
+    plan.run = std::path::absolute(run).map_err(io("cannot find", run))?;
+    Ok((plan, lines))
+}
+
+fn damaged(path: &Path, line: usize, why: &dyn std::fmt::Display) -> Error {
+    Error::usage(format!("`{}` is damaged at line {line}: {why}", path.display()))
+        .with_hint("run the manifest to make it again (finished outputs are kept)")
 }
 
 impl Plan {

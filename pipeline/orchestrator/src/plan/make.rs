@@ -27,6 +27,7 @@ pub fn make_plan(manifest: &Manifest, text: &Text, programs: &StagePrograms, sou
             .chain(manifest.variants.iter().map(|variant| variant.name.as_str()))
             .map(String::from)
             .collect(),
+        selection: None,
         roots: Vec::new(),
         calibrations: Vec::new(),
         predictions: manifest.predictions.iter().map(|own| own.root.clone()).collect(),

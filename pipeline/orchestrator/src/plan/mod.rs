@@ -6,13 +6,16 @@
 
 mod clips;
 mod file;
+mod intervals;
 mod make;
 mod model;
 mod nodes;
 mod params;
+mod selection;
 mod units;
 
-pub use file::{PLAN_FILE, read_plan};
+pub use file::{PLAN_FILE, read_header, read_plan};
+pub use intervals::ClipInterval;
 pub use make::make_plan;
-pub use model::{InputSource, Node, NodeInput, PLAN_FORMAT, Plan, PlannedClip, PlannedSource, WorkUnit};
+pub use model::{InputSource, Node, NodeInput, PLAN_FORMAT, Plan, PlanSelection, PlannedClip, PlannedSource, WorkUnit};
 pub use units::{KeyMaker, UnitKey};

@@ -1,5 +1,6 @@
 //! What a plan consists of.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use rogs_schemas::ContentHash;
@@ -29,6 +30,9 @@ pub struct Plan {
     pub variants: Vec<String>,
     /// What is done for every clip, in an order in which inputs come first.
     pub nodes: Vec<Node>,
+    /// The selection that the episodes of `[input]` are taken from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub selection: Option<PlanSelection>,
     /// Folders that episodes lie in.
     pub roots: Vec<PathBuf>,
     /// Calibration files with their content.
@@ -42,6 +46,20 @@ pub struct Plan {
     /// The clips, in the order of the manifest. One line each in the file.
     #[serde(skip)]
     pub clips: Vec<PlannedClip>,
+}
+
+/// The `selection.json` behind a plan.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PlanSelection {
+    /// The file and what is in it.
+    #[serde(flatten)]
+    pub source: PlannedSource,
+    /// Seed of the draw.
+    pub seed: u64,
+    /// Episodes that it was drawn from.
+    pub eligible: usize,
+    /// Episodes that were drawn.
+    pub selected: usize,
 }
 
 /// One stage as it is done for every clip: a column of the plan.
@@ -84,6 +102,8 @@ pub enum InputSource {
     Episode,
     /// The clip's calibration file, where it has one.
     Calibration,
+    /// The clip's file of the input's role in [`PlannedClip::references`], where it has one.
+    Reference,
     /// The clip's folder in one of [`Plan::predictions`], where it has one.
     Prediction(u32),
     /// The clip's file in [`Plan::latents`], where it has one.
@@ -122,6 +142,9 @@ pub struct PlannedClip {
     /// Index into [`Plan::calibrations`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<u32>,
+    /// Files with references that lie in a folder of their own, by role.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub references: BTreeMap<String, PlannedSource>,
     /// Content of the clip's folder in each of [`Plan::predictions`]; empty when no method has one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub predictions: Vec<Option<ContentHash>>,

@@ -322,6 +322,8 @@ impl<'a> Builder<'a> {
             None | Some(Provider::Hand) => None,
             Some(Provider::Episode) => Some(InputSource::Episode),
             Some(Provider::Calibration) => Some(InputSource::Calibration),
+            // Named for every clip where some may have it.
+            Some(Provider::Reference) => self.has_references().then_some(InputSource::Reference),
             Some(Provider::Robot) => {
                 let urdf = &self.manifest.robot.urdf;
                 Some(self.source(role, urdf, At::key("robot").then("urdf"))?)
@@ -355,6 +357,17 @@ impl<'a> Builder<'a> {
             return Err(self.text.error(column.at(stage), message).with_hint(hint));
         }
         Ok(None)
+    }
+
+    /// Whether the manifest names a folder with references of some episode.
+    fn has_references(&self) -> bool {
+        let input = self.manifest.input.as_ref().and_then(|input| input.pointworld.as_ref());
+        input.is_some()
+            || self
+                .manifest
+                .episodes
+                .iter()
+                .any(|episode| episode.pointworld.is_some())
     }
 
     /// A file of `[weights]`: the variant's own, else the run's.

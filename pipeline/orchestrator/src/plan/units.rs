@@ -56,6 +56,7 @@ impl Plan {
             InputSource::Prediction(index) => clip
                 .prediction(*index)
                 .map(|_| self.predictions[*index as usize].join(&clip.id)),
+            InputSource::Reference => clip.references.get(&input.role).map(|source| source.path.clone()),
             InputSource::Latents => {
                 let root = self.latents.as_ref().filter(|_| clip.latents.is_some());
                 root.map(|root| latents_file(root, &clip.id))
@@ -111,12 +112,16 @@ impl KeyMaker<'_> {
         let source = &plan.clips[clip];
         let mut keys: Vec<UnitKey> = Vec::with_capacity(plan.nodes.len());
         for (index, node) in plan.nodes.iter().enumerate() {
-            let id = |from: &InputSource| match from {
+            let id = |input: &NodeInput| match &input.from {
                 InputSource::Episode => Some(source.content.to_string()),
                 InputSource::Calibration => source
                     .calibration
                     .map(|index| plan.calibrations[index as usize].content.to_string()),
                 InputSource::Prediction(index) => source.prediction(*index).map(|content| content.to_string()),
+                InputSource::Reference => source
+                    .references
+                    .get(&input.role)
+                    .map(|source| source.content.to_string()),
                 InputSource::Latents => source.latents.map(|content| content.to_string()),
                 // Nodes are ordered, so the upstream key is there already.
                 InputSource::Node(node) => Some(keys[*node].key.to_string()),
@@ -125,7 +130,7 @@ impl KeyMaker<'_> {
             let inputs: BTreeMap<String, String> = node
                 .inputs
                 .iter()
-                .filter_map(|input| Some((input.role.clone(), id(&input.from)?)))
+                .filter_map(|input| Some((input.role.clone(), id(input)?)))
                 .collect();
             let params = match node.stage.spec().selector {
                 Some(_) => canonical_json(&plan.params(WorkUnit { clip, node: index })),

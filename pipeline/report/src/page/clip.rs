@@ -4,12 +4,12 @@ use std::path::Path;
 
 use maud::{Markup, html};
 use rogs_r4c::{Record, read_record};
-use rogs_schemas::FrameIndex;
 use rogs_schemas::ledger::{Attempt, Failure};
 use rogs_schemas::protocol::FailureCode;
 use rogs_schemas::records::clip::{CameraMount, Clip, ClipCamera};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
+use rogs_schemas::{EpisodeFrame, FrameIndex};
 use rogs_score::origins;
 use rogs_score::summary::ImageMetric::{AbsRel, Delta1, Lpips, Psnr, Rmse, Ssim};
 use rogs_score::summary::{ImageMetric, Metric, clip_value};
@@ -98,8 +98,9 @@ fn facts(clip: &Clip) -> Markup {
         ("task", clip.task.clone()),
         ("calibration", clip.calibration_note.clone()),
         ("cameras", cameras.join(", ")),
-        ("source frames", frames(&clip.source_frames)),
-        ("query frames", frames(&clip.query_frames)),
+        ("frames of the episode", interval(&clip.episode_frames)),
+        ("source frames, counted in the clip", frames(&clip.source_frames)),
+        ("query frames, counted in the clip", frames(&clip.query_frames)),
     ];
     html! {
         table.facts {
@@ -107,6 +108,15 @@ fn facts(clip: &Clip) -> Markup {
                 tr { th { (name) } td { (value) } }
             }
         }
+    }
+}
+
+/// Frames that are evenly apart, in words.
+fn interval(frames: &[EpisodeFrame]) -> String {
+    match frames {
+        [first, .., last] => format!("{first} to {last}, {} of them", frames.len()),
+        [only] => only.to_string(),
+        [] => String::new(),
     }
 }
 

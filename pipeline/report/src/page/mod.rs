@@ -29,6 +29,9 @@ pub(crate) fn page(results: &RunResults, tables: &[Table], picture_clips: usize)
     rogs_pages::page(&format!("rogs: {}", results.plan.name), STYLE, &body)
 }
 
+/// Most lines about which frames of their episodes the clips are.
+const INTERVALS: usize = 4;
+
 /// What was run, and by which version.
 fn facts(results: &RunResults) -> Markup {
     let failed = results.clips.iter().filter(|clip| !clip.failures.is_empty()).count();
@@ -36,6 +39,10 @@ fn facts(results: &RunResults) -> Markup {
     html! {
         table {
             tr { th { "clips" } td { (clips) } }
+            @if let Some(selection) = &results.plan.selection { tr { th { "selection" } td { (selection.describe()) } } }
+            @for interval in results.plan.clip_intervals().iter().take(INTERVALS) {
+                tr { th { "frames" } td { (interval) } }
+            }
             tr { th { "setting" } td { (results.plan.setting) } }
             tr { th { "variants" } td { (results.plan.variants.join(", ")) } }
             tr { th { "program" } td { "rogs " (env!("CARGO_PKG_VERSION")) } }

@@ -7,13 +7,16 @@ use anyhow::Context as _;
 use rogs_schemas::records::robot::RobotSpec;
 use rogs_synth::{
     DatasetSummary, EPISODES_FOLDER, ROBOT_FOLDER, ROBOT_SPEC_FILE, ROBOT_URDF_FILE, Resolution, SynthConfig,
-    write_dataset_with,
+    generate_episode, write_dataset_with, write_pointworld,
 };
 
 use crate::output;
 
 /// Name of the manifest beside a dataset.
 pub(crate) const MANIFEST_NAME: &str = "manifest.toml";
+
+/// Folder of the cache of PointWorld in a dataset.
+const POINTWORLD_FOLDER: &str = "pointworld";
 
 /// Names of the built-in checkpoints beside the manifest.
 const LIFT_WEIGHTS: &str = "compact-stage1.safetensors";
@@ -40,6 +43,10 @@ pub(crate) struct Args {
     /// Errors of the recorded extrinsics: standard deviations in metres and radians.
     #[arg(long, value_names = ["M", "RAD"], num_args = 2)]
     calibration_noise: Option<Vec<f64>>,
+    /// Also write the references of every episode as a cache of PointWorld, into the folder `pointworld` of the dataset
+    /// (docs/pointworld.md).
+    #[arg(long)]
+    pointworld: bool,
     /// Print one JSON value.
     #[arg(long)]
     json: bool,
@@ -63,6 +70,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         ..config(args.frames, args.size)
     };
     let (summary, manifest) = make(&args.out, "synth", args.episodes, args.seed, &config)?;
+    if args.pointworld {
+        for seed in (args.seed..).take(args.episodes as usize) {
+            write_pointworld(&args.out.join(POINTWORLD_FOLDER), &generate_episode(&config, seed)?)?;
+        }
+    }
     if args.json {
         output::json(&serde_json::json!({ "dataset": summary, "manifest": manifest }))?;
     } else {

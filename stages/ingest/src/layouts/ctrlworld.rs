@@ -89,8 +89,9 @@ fn file_names(folder: &Path) -> StageResult<Vec<String>> {
     Ok(names)
 }
 
-/// The files of an episode: annotation, videos, and a calibration beside them where there is one. Relative to the root.
-pub(crate) fn files(root: &Path, selector: &str) -> StageResult<(String, Vec<String>)> {
+/// Id, frames and files of an episode: annotation, videos, and a calibration beside them where there is one, relative to
+/// the root.
+pub(crate) fn files(root: &Path, selector: &str) -> StageResult<(String, u32, Vec<String>)> {
     let annotation_name = format!("annotation/{selector}.json");
     let (path, annotation) = read_annotation(root, &annotation_name)?;
     let mut files = vec![annotation_name];
@@ -100,7 +101,7 @@ pub(crate) fn files(root: &Path, selector: &str) -> StageResult<(String, Vec<Str
     if let Some(name) = calibration_beside(root, selector) {
         files.push(name);
     }
-    Ok((annotation.episode_id.text(), files))
+    Ok((annotation.episode_id.text(), annotation.video_length, files))
 }
 
 /// Opens an episode.
@@ -209,6 +210,7 @@ fn camera(
         .ok_or_else(|| wrong(path, format!("the calibration gives no pose of camera `{id}`")))?;
     Ok(SourceCamera {
         id: id.to_owned(),
+        serial: None,
         role: CameraRole::Source,
         partner: None,
         width: info.width,
@@ -221,6 +223,7 @@ fn camera(
             info,
             first: 0,
         }),
+        times_ms: None,
         depth: None,
     })
 }

@@ -6,7 +6,7 @@ use rogs_schemas::records::clip::CameraRole;
 use rogs_worker::{StageError, StageResult};
 
 use super::lerobot_meta::{Dataset, EpisodeMeta, Version};
-use super::parquet_table::Table;
+use super::parquet_table::{Table, Work};
 use super::{calibration_names, clip_camera};
 use crate::calibration::Calibration;
 use crate::checks;
@@ -19,7 +19,7 @@ use crate::video;
 /// Opens an episode.
 pub(crate) fn open(root: &Path, calibration: Option<&Calibration>, params: &Params) -> StageResult<Source> {
     let dataset = Dataset::open(root)?;
-    let episode = dataset.select(&params.episode)?;
+    let episode = &dataset.select(&params.episode)?;
     let frame_count = u32::try_from(episode.length).ok().filter(|&length| length > 0);
     let frame_count = frame_count
         .ok_or_else(|| StageError::bad_input(format!("episode {} has {} frames", episode.index, episode.length)))?;
@@ -137,6 +137,7 @@ fn open_camera(
     };
     Ok(SourceCamera {
         id: id.to_owned(),
+        serial: None,
         role: CameraRole::Source,
         partner: None,
         width: size.0,
@@ -145,6 +146,7 @@ fn open_camera(
         pixel_shift: 0.5,
         mount,
         images: Some(FrameSource::Video { path, info, first }),
+        times_ms: None,
         depth: None,
     })
 }
@@ -152,9 +154,8 @@ fn open_camera(
 /// The rows of one episode in its data file.
 struct Rows {
     path: std::path::PathBuf,
+    /// In frame order.
     table: Table,
-    /// Row numbers, in frame order.
-    rows: Vec<usize>,
 }
 
 impl Rows {
@@ -165,43 +166,39 @@ impl Rows {
                 || name.starts_with("camera_extrinsics")
                 || ["timestamp", "frame_index", "episode_index"].contains(&name)
         };
-        let table = Table::read(&path, &wanted)?;
-        let indices = table.integers("episode_index")?;
-        let rows: Vec<usize> = (0..table.rows).filter(|&row| indices[row] == episode.index).collect();
-        if rows.len() as u64 != episode.length {
+        let only = Some(("episode_index", episode.index));
+        let table = Table::read_where(&path, &wanted, only, &mut Work::default())?;
+        let rows = table.rows;
+        if rows as u64 != episode.length {
             return Err(wrong(
                 &path,
                 format!(
-                    "it has {} rows of episode {}, expected {}",
-                    rows.len(),
-                    episode.index,
-                    episode.length
+                    "it has {rows} rows of episode {}, expected {}",
+                    episode.index, episode.length
                 ),
             ));
         }
         let frames = table.integers("frame_index")?;
-        if let Some(frame) = (0..rows.len()).find(|&frame| frames[rows[frame]] != frame as u64) {
-            return Err(wrong(
-                &path,
-                format!(
-                    "row {} holds frame {}, expected {frame}",
-                    rows[frame], frames[rows[frame]]
-                ),
-            ));
+        if let Some(frame) = (0..rows).find(|&frame| frames[frame] != frame as u64) {
+            let text = format!(
+                "row {frame} of episode {} holds frame {}, expected {frame}",
+                episode.index, frames[frame]
+            );
+            return Err(wrong(&path, text));
         }
         if table.has("timestamp") {
             let (_, times) = table.numbers("timestamp")?;
-            let late = |frame: usize| (times[rows[frame]] * dataset.info.fps - frame as f64).abs();
+            let late = |frame: usize| (times[frame] * dataset.info.fps - frame as f64).abs();
             let off = |&frame: &usize| late(frame).is_nan() || late(frame) >= 0.5;
-            if let Some(frame) = (0..rows.len()).find(off) {
+            if let Some(frame) = (0..rows).find(off) {
                 let text = format!(
                     "the timestamp {} of frame {frame} does not fit {} frames per second",
-                    times[rows[frame]], dataset.info.fps
+                    times[frame], dataset.info.fps
                 );
                 return Err(wrong(&path, text));
             }
         }
-        Ok(Self { path, table, rows })
+        Ok(Self { path, table })
     }
 
     /// Entry `entry` of a column at every frame.
@@ -213,14 +210,14 @@ impl Rows {
                 format!("column `{column}` has {width} entries, number {entry} is needed"),
             ));
         }
-        Ok(self.rows.iter().map(|row| values[row * width + entry]).collect())
+        Ok(values.iter().skip(*entry).step_by(width).copied().collect())
     }
 
     fn states(&self, dataset: &Dataset, choice: &StateColumns) -> StageResult<States> {
         let (joints, gripper) = state_entries(dataset, choice, &self.path)?;
         let columns: StageResult<Vec<Vec<f64>>> = joints.iter().map(|(_, place)| self.entry(place)).collect();
         let columns = columns?;
-        let positions = (0..self.rows.len())
+        let positions = (0..self.table.rows)
             .flat_map(|row| columns.iter().map(move |column| column[row]))
             .collect();
         let closed = |value: f64| if choice.invert_gripper { 1.0 - value } else { value };
@@ -249,12 +246,10 @@ impl Rows {
                 format!("column `{column}` has {width} entries, expected x y z roll pitch yaw"),
             ));
         }
-        let pose = |(frame, row): (usize, &usize)| {
-            let mut six = [0.0; 6];
-            six.copy_from_slice(&values[row * 6..row * 6 + 6]);
-            checks::euler_pose(&six, &format!("`{column}` at frame {frame}"), &self.path)
+        let pose = |(frame, six): (usize, &[f64; 6])| {
+            checks::euler_pose(six, &format!("`{column}` at frame {frame}"), &self.path)
         };
-        let poses: StageResult<Vec<_>> = self.rows.iter().enumerate().map(pose).collect();
+        let poses: StageResult<Vec<_>> = values.as_chunks::<6>().0.iter().enumerate().map(pose).collect();
         let poses = poses?;
         let still = poses.windows(2).all(|pair| pair[0] == pair[1]);
         Ok(match poses.first() {

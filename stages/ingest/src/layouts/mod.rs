@@ -2,16 +2,18 @@
 
 pub(crate) mod ctrlworld;
 pub(crate) mod lerobot;
+mod lerobot_episodes;
 mod lerobot_meta;
 mod parquet_table;
 pub(crate) mod rogs_episode;
 
+use std::collections::HashMap;
 use std::path::Path;
 
 use rogs_schemas::episode::EPISODE_FILE;
 use rogs_worker::{StageError, StageResult};
 
-use self::lerobot_meta::{Dataset, EpisodeMeta};
+use self::lerobot_meta::Dataset;
 use crate::calibration::Calibration;
 use crate::params::{LayoutChoice, Params};
 use crate::source::Source;
@@ -67,28 +69,50 @@ pub(crate) fn open(root: &Path, calibration: Option<&Path>, params: &Params) -> 
 pub(crate) struct LerobotListing {
     /// Layout, as the clip keeps it.
     pub(crate) layout: &'static str,
-    /// Selector and files of every episode that has its table.
-    pub(crate) episodes: Vec<(String, Vec<String>)>,
+    /// Every episode that has its table.
+    pub(crate) episodes: Vec<LerobotEpisode>,
+}
+
+/// One episode of a LeRobot data set.
+pub(crate) struct LerobotEpisode {
+    pub(crate) selector: String,
+    /// Frames, as the metadata say; none where they are damaged.
+    pub(crate) frames: Option<u64>,
+    pub(crate) files: Vec<String>,
 }
 
 /// Lists a LeRobot data set. Episodes whose table is missing are left out: samples of large sets announce all of them.
 pub(crate) fn lerobot_dataset(root: &Path) -> StageResult<LerobotListing> {
     let dataset = Dataset::open(root)?;
-    let here = dataset
-        .episodes
-        .iter()
-        .filter(|episode| root.join(&episode.data).is_file());
-    let files = |episode: &EpisodeMeta| {
-        let videos = episode.videos.values().map(|(file, _)| file.clone());
-        let mut files: Vec<String> = videos
-            .chain(["meta/info.json".to_owned(), episode.data.clone()])
-            .collect();
-        files.extend(dataset.meta_files.iter().cloned());
-        (episode.selector(), files)
-    };
+    // Many episodes share a file: each is looked for once.
+    let mut there: HashMap<String, bool> = HashMap::new();
+    let mut episodes = Vec::new();
+    for listed in dataset.episodes()? {
+        let mut files = vec!["meta/info.json".to_owned(), listed.described_by];
+        let mut frames = None;
+        if let Some(episode) = listed.episode {
+            frames = Some(episode.length);
+            files.extend(episode.videos.into_values().map(|(file, _)| file));
+            let here = there.get(&episode.data).copied();
+            let here = here.unwrap_or_else(|| {
+                let here = root.join(&episode.data).is_file();
+                there.insert(episode.data.clone(), here);
+                here
+            });
+            if !here {
+                continue;
+            }
+            files.push(episode.data);
+        }
+        episodes.push(LerobotEpisode {
+            selector: listed.selector,
+            frames,
+            files,
+        });
+    }
     Ok(LerobotListing {
         layout: dataset.version.layout(),
-        episodes: here.map(files).collect(),
+        episodes,
     })
 }
 

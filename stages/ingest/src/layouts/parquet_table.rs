@@ -4,11 +4,13 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use arrow::array::{Array, ArrayRef, AsArray as _, FixedSizeListArray};
+use arrow::array::{Array, ArrayRef, AsArray as _, BooleanArray, FixedSizeListArray, RecordBatch};
 use arrow::compute::cast;
-use arrow::datatypes::{DataType, Float64Type};
+use arrow::datatypes::{DataType, Float64Type, UInt64Type};
 use parquet::arrow::ProjectionMask;
-use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use parquet::arrow::arrow_reader::{ArrowPredicateFn, ParquetRecordBatchReaderBuilder, RowFilter};
+use parquet::file::metadata::{ParquetMetaData, RowGroupMetaData};
+use parquet::file::statistics::Statistics;
 use rogs_worker::StageResult;
 
 use crate::fault::{io_error, wrong};
@@ -16,30 +18,60 @@ use crate::fault::{io_error, wrong};
 /// Most numbers read from one column.
 const MAX_VALUES: u64 = 1 << 28;
 
-/// Some columns of a file, all rows.
+/// What reading took, for tests: it must not grow with the data set where one episode is read.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Work {
+    /// Rows of the parts of parquet files that had to be looked at.
+    pub(crate) rows: u64,
+    /// Bytes of text.
+    pub(crate) bytes: u64,
+}
+
+/// Some columns of a file, all rows or some.
 pub(crate) struct Table {
     path: PathBuf,
     /// Rows.
     pub(crate) rows: usize,
+    /// Rows of the whole file.
+    pub(crate) of: u64,
     columns: BTreeMap<String, Column>,
 }
 
 enum Column {
-    /// `[rows, width]`
+    /// `[rows, width]`; NaN where a row of a single number has none.
     Numbers { width: usize, values: Vec<f64> },
     /// First text of each row (a text, or a list of texts).
     Texts(Vec<String>),
 }
 
 impl Table {
-    /// Reads those of the wanted columns that the file has.
-    pub(crate) fn read(path: &Path, wanted: &dyn Fn(&str) -> bool) -> StageResult<Self> {
+    /// Reads those of the wanted columns that the file has: all rows, or those in which a column of whole numbers has a
+    /// value. Row groups whose statistics rule it out are not read, of the others first this column alone.
+    pub(crate) fn read_where(
+        path: &Path,
+        wanted: &dyn Fn(&str) -> bool,
+        only: Option<(&str, u64)>,
+        work: &mut Work,
+    ) -> StageResult<Self> {
         let file = File::open(path).map_err(|error| io_error(path, &error))?;
         let bad = |error: &dyn std::fmt::Display| wrong(path, format!("not a readable parquet file: {error}"));
-        let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|error| bad(&error))?;
+        let mut builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|error| bad(&error))?;
         let rows = u64::try_from(builder.metadata().file_metadata().num_rows()).unwrap_or(u64::MAX);
         if rows > MAX_VALUES {
             return Err(bad(&format!("{rows} rows")));
+        }
+        let groups = match only {
+            Some((column, value)) => admitting(builder.metadata(), column, value),
+            None => (0..builder.metadata().num_row_groups()).collect(),
+        };
+        let in_group = |&group: &usize| u64::try_from(builder.metadata().row_group(group).num_rows()).unwrap_or(0);
+        work.rows += groups.iter().map(in_group).sum::<u64>();
+        builder = builder.with_row_groups(groups);
+        if let Some((column, value)) = only {
+            builder = match filter(&builder, column, value) {
+                Some(filter) => builder.with_row_filter(filter),
+                None => return Err(wrong(path, format!("there is no column `{column}`"))),
+            };
         }
         let schema = builder.schema().clone();
         let roots: Vec<usize> = (0..schema.fields().len())
@@ -54,6 +86,7 @@ impl Table {
         let mut table = Self {
             path: path.to_owned(),
             rows: 0,
+            of: rows,
             columns: BTreeMap::new(),
         };
         for batch in reader {
@@ -114,10 +147,27 @@ impl Table {
         }
     }
 
+    /// The number of a row in a column of one number per row.
+    pub(crate) fn number(&self, name: &str, row: usize) -> StageResult<f64> {
+        let (width, values) = self.numbers(name)?;
+        let value = values.get(row).filter(|_| width == 1).copied();
+        value.ok_or_else(|| wrong(&self.path, format!("column `{name}` does not hold one number per row")))
+    }
+
+    /// The whole number of a row in a column of one per row.
+    pub(crate) fn integer(&self, name: &str, row: usize) -> StageResult<u64> {
+        let value = self.number(name, row)?;
+        whole(value).ok_or_else(|| {
+            wrong(
+                &self.path,
+                format!("column `{name}` holds {value} in row {row}, expected a whole number"),
+            )
+        })
+    }
+
     /// A column of one whole number per row.
     pub(crate) fn integers(&self, name: &str) -> StageResult<Vec<u64>> {
         let (width, values) = self.numbers(name)?;
-        let whole = |value: f64| (value >= 0.0 && value.fract() == 0.0 && value < 9e15).then_some(value as u64);
         let integers: Option<Vec<u64>> = values.iter().map(|&value| whole(value)).collect();
         integers.filter(|_| width == 1).ok_or_else(|| {
             wrong(
@@ -134,6 +184,52 @@ impl Table {
             _ => Err(wrong(&self.path, format!("there is no column of text `{name}`"))),
         }
     }
+}
+
+/// A number that counts something.
+fn whole(value: f64) -> Option<u64> {
+    (value >= 0.0 && value.fract() == 0.0 && value < 9e15).then_some(value as u64)
+}
+
+/// Row groups that may hold a value of a column, by their statistics.
+fn admitting(metadata: &ParquetMetaData, column: &str, value: u64) -> Vec<usize> {
+    let admits = |group: &RowGroupMetaData| {
+        let chunk = group
+            .columns()
+            .iter()
+            .find(|chunk| chunk.column_path().string() == column);
+        let range = match chunk.and_then(|chunk| chunk.statistics()) {
+            Some(Statistics::Int64(range)) => range.min_opt().copied().zip(range.max_opt().copied()),
+            Some(Statistics::Int32(range)) => {
+                let wide = |bound: &i32| i64::from(*bound);
+                range.min_opt().map(wide).zip(range.max_opt().map(wide))
+            }
+            _ => None,
+        };
+        range.is_none_or(|(low, high)| i64::try_from(value).is_ok_and(|value| (low..=high).contains(&value)))
+    };
+    (0..metadata.num_row_groups())
+        .filter(|&group| admits(metadata.row_group(group)))
+        .collect()
+}
+
+/// Keeps the rows in which a column has a value; `None` when there is no such column.
+fn filter(builder: &ParquetRecordBatchReaderBuilder<File>, column: &str, value: u64) -> Option<RowFilter> {
+    let position = builder
+        .schema()
+        .fields()
+        .iter()
+        .position(|field| field.name() == column)?;
+    let mask = ProjectionMask::roots(builder.parquet_schema(), [position]);
+    let fits = move |batch: RecordBatch| {
+        let values = cast(batch.column(0), &DataType::UInt64)?;
+        let values = values.as_primitive::<UInt64Type>();
+        Ok(values
+            .iter()
+            .map(|found| Some(found == Some(value)))
+            .collect::<BooleanArray>())
+    };
+    Some(RowFilter::new(vec![Box::new(ArrowPredicateFn::new(mask, fits))]))
 }
 
 fn column(array: &ArrayRef) -> Result<Column, String> {
@@ -190,9 +286,19 @@ fn column(array: &ArrayRef) -> Result<Column, String> {
         }
         _ => Ok(Column::Numbers {
             width: 1,
-            values: numbers(array, 0)?,
+            values: scalars(array)?,
         }),
     }
+}
+
+/// One number a row; a row without one is NaN, so that it fails what reads this row alone.
+fn scalars(array: &ArrayRef) -> Result<Vec<f64>, String> {
+    if array.null_count() == 0 || !array.data_type().is_numeric() {
+        return numbers(array, 0);
+    }
+    let values = cast(array, &DataType::Float64).map_err(|error| error.to_string())?;
+    let values = values.as_primitive::<Float64Type>();
+    Ok(values.iter().map(|value| value.unwrap_or(f64::NAN)).collect())
 }
 
 fn numbers(array: &ArrayRef, null_rows: usize) -> Result<Vec<f64>, String> {

@@ -64,11 +64,19 @@ pub(crate) fn open(root: &Path, calibration: Option<&Calibration>) -> StageResul
         return Err(wrong(&path, format!("two cameras are named `{}`", camera.id)));
     }
     let frames = episode.frame_count;
-    let (states, warnings) = read_states(root, &path, &episode.robot, frames, episode.fps)?;
+    let (states, times, warnings) = read_states(root, &path, &episode.robot, frames, episode.fps)?;
+    let times_ms: Option<Vec<f64>> =
+        (!times.is_empty()).then(|| times.iter().map(|seconds| 1000.0 * seconds).collect());
     let cameras: StageResult<Vec<SourceCamera>> = episode
         .cameras
         .into_iter()
-        .map(|camera| open_camera(root, &path, camera, frames, calibration))
+        .map(|camera| {
+            let camera = open_camera(root, &path, camera, frames, calibration)?;
+            Ok(SourceCamera {
+                times_ms: times_ms.clone(),
+                ..camera
+            })
+        })
         .collect();
     let tracks = episode
         .tracks
@@ -154,6 +162,7 @@ fn open_camera(
             path: inside(root, &depth.path, path)?,
             range_m: depth.range_m,
             origin: depth.origin,
+            cached: None,
         }),
         None => None,
     };
@@ -164,6 +173,7 @@ fn open_camera(
     let (width, height) = size;
     Ok(SourceCamera {
         id: camera.id,
+        serial: None,
         role,
         partner: camera.partner,
         width,
@@ -172,6 +182,7 @@ fn open_camera(
         pixel_shift,
         mount,
         images,
+        times_ms: None,
         depth,
     })
 }
@@ -186,14 +197,14 @@ fn read_trajectory(path: &Path, frames: u32) -> StageResult<SourceMount> {
     Ok(SourceMount::Trajectory(poses?))
 }
 
-/// The table of joint and gripper states, and what is odd about its times.
+/// The table of joint and gripper states, their times in seconds where it has them, and what is odd about these.
 fn read_states(
     root: &Path,
     json: &Path,
     robot: &EpisodeRobot,
     frames: u32,
     fps: f64,
-) -> StageResult<(States, Vec<String>)> {
+) -> StageResult<(States, Vec<f64>, Vec<String>)> {
     let path = inside(root, &robot.states, json)?;
     let text = read_text(&path, MAX_CSV)?;
     let mut lines = text.trim_start_matches('\u{feff}').lines();
@@ -264,7 +275,7 @@ fn read_states(
     }
     checks::states(&states, "row", &path)?;
     let warnings = checks::times(&times, fps, &path)?;
-    Ok((states, warnings.into_iter().collect()))
+    Ok((states, times, warnings.into_iter().collect()))
 }
 
 fn read_tracks(root: &Path, json: &Path, tracks: &EpisodeTracks, frames: u32) -> StageResult<SourceTracks> {

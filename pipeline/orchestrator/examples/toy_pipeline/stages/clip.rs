@@ -20,13 +20,31 @@ use serde::{Deserialize, Serialize};
 use super::{FRAMES, HEIGHT, WIDTH, disc, picture, seed_of};
 use crate::misbehaviour::{misbehave, write};
 
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct IngestParams {
     /// Selector.
     episode: String,
     /// Added to the clip's frame rate.
     faster: f32,
+    /// First episode frame.
+    start_frame: Option<u32>,
+    /// Frames that a plan counts with.
+    frames: u32,
+    /// Episode frames from one to the next.
+    frame_step: u32,
+}
+
+impl Default for IngestParams {
+    fn default() -> Self {
+        Self {
+            episode: String::new(),
+            faster: 0.0,
+            start_frame: None,
+            frames: FRAMES as u32,
+            frame_step: 1,
+        }
+    }
 }
 
 pub(crate) struct Ingest(IngestParams);

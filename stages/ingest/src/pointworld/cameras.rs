@@ -1,0 +1,122 @@
+//! `UUID_cameras.json`: poses of the external cameras as PointWorld has optimised them.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use rogs_worker::StageResult;
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::{base_from_camera, camera_of, same_episode, serials};
+use crate::fault::{read_text, wrong};
+use crate::params::PointWorldParams;
+use crate::source::{Source, SourceMount};
+
+/// Longest file, bytes.
+const MAX_JSON: u64 = 4 << 20;
+
+#[derive(Deserialize)]
+struct File {
+    uuid: String,
+    optimization_success: bool,
+    #[serde(default)]
+    optimization_summary: Option<Summary>,
+    /// Cameras by serial, and keys that are not read (`scene_path`).
+    #[serde(flatten)]
+    others: BTreeMap<String, Value>,
+}
+
+#[derive(Deserialize)]
+struct Summary {
+    final_loss: f64,
+}
+
+/// Refined poses by serial, base-to-camera, once they pass the gate.
+pub(super) fn join(path: &Path, source: &mut Source, params: &PointWorldParams) -> StageResult<()> {
+    if !params.refined_poses {
+        return Ok(());
+    }
+    let text = read_text(path, MAX_JSON)?;
+    let file: File = serde_json::from_str(&text)
+        .map_err(|error| wrong(path, format!("it is not a PointWorld camera file: {error}")))?;
+    same_episode(&file.uuid, source, path)?;
+    let loss = file.optimization_summary.map(|summary| summary.final_loss);
+    let loss = loss.ok_or_else(|| wrong(path, "it has no `optimization_summary.final_loss`"))?;
+    if !file.optimization_success || !loss.is_finite() || loss >= params.max_loss {
+        let ended = if file.optimization_success {
+            "with"
+        } else {
+            "without success, with"
+        };
+        let text = format!(
+            "the optimisation ended {ended} a loss of {loss}; below {} is taken",
+            params.max_loss
+        );
+        return Err(wrong(path, text).with_hint(
+            "leave the episode out; or set `pointworld.max_loss`, or `pointworld.refined_poses = false` for the episode's own poses",
+        ));
+    }
+    let mut moved = 0;
+    for (serial, camera) in &file.others {
+        let Some(matrix) = camera.get("optimized_extrinsics") else {
+            continue;
+        };
+        let what = format!("`optimized_extrinsics` of `{serial}`");
+        let matrix: [[f64; 4]; 4] =
+            serde_json::from_value(matrix.clone()).map_err(|error| wrong(path, format!("{what}: {error}")))?;
+        let Some(index) = camera_of(source, serial) else {
+            let known = serials(source);
+            source.warnings.push(format!(
+                "`{}` has a camera `{serial}` that the episode does not have (it has {known})",
+                path.display()
+            ));
+            continue;
+        };
+        let own = &source.cameras[index].mount;
+        if matches!(own, SourceMount::HandEye { .. }) {
+            continue; // moves with the robot: one pose says nothing
+        }
+        let pose = base_from_camera(&matrix, &what, own, path)?;
+        let right = source.cameras.iter().position(|camera| {
+            let partner = camera.partner.as_deref();
+            partner == Some(source.cameras[index].id.as_str())
+        });
+        if let Some(right) = right {
+            follow(source, (index, right), pose)?;
+        }
+        source.cameras[index].mount = SourceMount::Fixed(pose);
+        moved += 1;
+    }
+    if moved == 0 {
+        return Err(wrong(
+            path,
+            format!(
+                "it has no `optimized_extrinsics` of a fixed camera of the episode ({})",
+                serials(source)
+            ),
+        ));
+    }
+    let note = format!("poses of {moved} external cameras refined by PointWorld (loss {loss})");
+    source.calibration_note = match source.calibration_note.as_str() {
+        "" => note,
+        own => format!("{own}; {note}"),
+    };
+    Ok(())
+}
+
+/// Moves the right eye of a pair with its left eye.
+fn follow(source: &mut Source, (left, right): (usize, usize), refined: rogs_schemas::RigidPose) -> StageResult<()> {
+    use rogs_geometry::{Base, Camera, Pose};
+    let (SourceMount::Fixed(old), SourceMount::Fixed(eye)) =
+        (&source.cameras[left].mount, &source.cameras[right].mount)
+    else {
+        return Ok(());
+    };
+    let pose = |pose: &rogs_schemas::RigidPose| {
+        Pose::<Base, Camera>::from_rigid(pose).map_err(|error| rogs_worker::StageError::bad_input(error.to_string()))
+    };
+    let (old, eye, new) = (pose(old)?, pose(eye)?, pose(&refined)?);
+    let left_from_right: Pose<Camera, Camera> = old.inverse() * eye;
+    source.cameras[right].mount = SourceMount::Fixed((new * left_from_right).to_rigid());
+    Ok(())
+}
