@@ -304,6 +304,9 @@ _clip = _row(
     robot=_row(joint_names=_many(_text), positions=_many(_f64), gripper=_many(_f64)),
     tracks=_maybe(_row(anchor_frame=_u32, count=_u32)),
 )
+_rollout = _row(
+    model=_text, layout=_text, frames=_fixed(_u32, 2), first_frame_psnr_db=_many(_maybe(_f64))
+)
 _robot = _row(
     clip_id=_text,
     link_names=_many(_text),
@@ -377,7 +380,7 @@ _origins = _row(depth=_many(_text), tracks=_maybe(_text))
 _references = _many(_row(kind=_variant(depth=None, tracks=None), camera=_text, origin=_text))
 _renders = _many(_row(camera=_text, frame=_u32, height=_u32, width=_u32))
 HEADS = {
-    "rogs.clip": {"clip": _whole(_clip), "reference_origins": _whole(_origins)},
+    "rogs.clip": {"clip": _whole(_clip), "reference_origins": _whole(_origins), "rollout": _whole(_rollout)},
     "rogs.robot": {"robot": _whole(_robot)},
     "rogs.conditioning": {"conditioning": _whole(_conditioning)},
     "rogs.field": {"field": _whole(_field)},

@@ -188,6 +188,27 @@ fn only_the_codec_names_bincode() {
     }
 }
 
+/// What is reconstructed is not what is scored: a stage asks the clip for the one or the other, and gets two types.
+#[test]
+fn stages_ask_a_clip_for_observations_or_targets() {
+    let stages = ["robot-maps", "conditioning", "lift", "refine", "score"]
+        .map(|name| root().join("stages").join(name).join("src"));
+    for path in sources()
+        .into_iter()
+        .filter(|path| stages.iter().any(|stage| path.starts_with(stage)))
+    {
+        for (line, code) in code_lines(&path) {
+            for field in [".recorded", ".generated"] {
+                assert!(
+                    !code.contains(field),
+                    "{}:{line} takes images from `{field}`: use Clip::observation or Clip::target",
+                    path.display()
+                );
+            }
+        }
+    }
+}
+
 /// Whoever reads a record from elsewhere (another format, a socket, a test) can use `schemas` without a file.
 #[test]
 fn schemas_are_plain_data() {

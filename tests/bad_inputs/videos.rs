@@ -161,7 +161,7 @@ fn assert_aligned(cases: &Cases, clip: &str) {
     let rgb = |clip: &str| {
         let path = cases.workspace.path(&format!("run/clips/{clip}/clip.r4c"));
         let (clip, _) = rogs_r4c::read_record::<rogs_schemas::records::clip::Clip>(&path).unwrap();
-        clip.cameras[0].rgb.clone().unwrap()
+        clip.cameras[0].recorded.clone().unwrap()
     };
     let (good, frames) = (rgb(GOOD), rgb(clip));
     let area = good.len() / 17;

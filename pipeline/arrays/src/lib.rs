@@ -44,5 +44,5 @@ pub use hdf5::{Hdf5Dataset, Hdf5Element, Hdf5File, Hdf5Value};
 pub use named::{Array, ArrayFile};
 pub use npy::{NpyFile, npy_bytes, npy_header, npy_numbers};
 pub use npz::{NamedArray, write_npz};
-pub use png::{Png, write_png};
+pub use png::{Png, png_bytes, write_png};
 pub use shape::ANY;

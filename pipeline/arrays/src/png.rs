@@ -77,14 +77,26 @@ fn unreadable(path: &Path, error: &image::ImageError) -> Error {
 ///
 /// # Errors
 /// When there are other than so many pixels, or the operating system refuses.
-pub fn write_png(path: &Path, (width, height): (u32, u32), rgb: &[u8]) -> rogs_files::Result<()> {
-    rogs_files::write_with(path, |out| {
-        if rgb.len() as u64 != u64::from(width) * u64::from(height) * 3 {
-            let what = format!("an image of {width}x{height} pixels was given {} bytes", rgb.len());
-            return Err(std::io::Error::other(what));
-        }
-        PngEncoder::new(out)
-            .write_image(rgb, width, height, ExtendedColorType::Rgb8)
-            .map_err(std::io::Error::other)
-    })
+pub fn write_png(path: &Path, size: (u32, u32), rgb: &[u8]) -> rogs_files::Result<()> {
+    rogs_files::write_with(path, |out| encode(out, size, rgb))
+}
+
+/// The bytes of an 8-bit RGB image of `(width, height)` pixels. `[H, W, 3]`
+///
+/// # Errors
+/// When there are other than so many pixels.
+pub fn png_bytes(size: (u32, u32), rgb: &[u8]) -> std::io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    encode(&mut bytes, size, rgb)?;
+    Ok(bytes)
+}
+
+fn encode(out: impl std::io::Write, (width, height): (u32, u32), rgb: &[u8]) -> std::io::Result<()> {
+    if rgb.len() as u64 != u64::from(width) * u64::from(height) * 3 {
+        let what = format!("an image of {width}x{height} pixels was given {} bytes", rgb.len());
+        return Err(std::io::Error::other(what));
+    }
+    PngEncoder::new(out)
+        .write_image(rgb, width, height, ExtendedColorType::Rgb8)
+        .map_err(std::io::Error::other)
 }

@@ -17,6 +17,7 @@
 //! assert!(identity.translation.length() < 1e-15);
 //! ```
 
+mod actions;
 mod error;
 mod links;
 mod pinhole;
@@ -25,6 +26,7 @@ mod posed;
 mod rotation;
 mod similarity;
 
+pub use actions::{Action, actions, follow, tool_pose};
 pub use error::{Error, Result};
 pub use links::{LinkMotions, LinkPoses};
 pub use pinhole::{Pinhole, pixel_centre};

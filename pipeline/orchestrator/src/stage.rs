@@ -27,6 +27,8 @@ pub struct StageSpec {
     pub selector: Option<&'static str>,
     /// For the same stage: the parameters that say which frames of an episode are a clip.
     pub interval: Option<Interval>,
+    /// What it makes does not depend on the observations: a rollout reads what was made of the recorded clip.
+    pub blind: bool,
 }
 
 /// The parameters that say which frames of an episode are a clip.
@@ -77,8 +79,10 @@ pub enum Provider {
     Reference,
     /// The robot's URDF: `[robot] urdf`.
     Robot,
-    /// The clip's file in the folder of `[latents]`.
+    /// The clip's file in the folder of `[latents]`, or for a rollout in that of `[rollouts]`.
     Latents,
+    /// The clip's video or folder in the folder of `[rollouts]`.
+    Rollout,
     /// The clip's folder in one of `[[predictions]]`.
     Predictions,
     /// A file that `[weights]` names.
@@ -135,8 +139,10 @@ pub enum Filled {
     RobotSpec,
     /// The name of the output's rows.
     Method,
-    /// `[run] setting`.
-    Setting,
+    /// Whether the clip's observations are recorded or a rollout.
+    Observations,
+    /// How the files of `[rollouts]` lie.
+    Rollout,
 }
 
 impl Input {
@@ -181,6 +187,7 @@ impl StageSpec {
         filled: &[],
         selector: None,
         interval: None,
+        blind: false,
     };
 
     /// Stages whose outputs an output of this stage reads.
@@ -254,7 +261,14 @@ stages! {
             Input::of("pointworld-cameras", Provider::Reference),
             Input::of("pointworld-depth", Provider::Reference),
             Input::of("pointworld-flows", Provider::Reference),
+            Input::when("rollout", Provider::Rollout, When {
+                param: "observations",
+                is: "rollout",
+                needs: "the clips' rollouts",
+                hint: "name their folder: [rollouts] with root = \"FOLDER\" (docs/rollouts.md)",
+            }),
         ],
+        filled: &[("observations", Filled::Observations), ("rollout", Filled::Rollout)],
         selector: Some("episode"),
         interval: Some(Interval {
             start: "start_frame",
@@ -271,12 +285,14 @@ stages! {
         inputs: &[CLIP, Input::of(ROBOT_MODEL, Provider::Robot)],
         filled: &[("robot", Filled::RobotSpec)],
         outputs: &[Output::new("robot-maps", "robot.r4c")],
+        blind: true,
         ..StageSpec::PLAIN
     };
     /// How far forward kinematics moves every pixel of the robot.
     Conditioning = "conditioning": StageSpec {
         inputs: &[CLIP, ROBOT],
         outputs: &[Output::new("conditioning", "conditioning.r4c")],
+        blind: true,
         ..StageSpec::PLAIN
     };
     /// Stage 1: the field.
@@ -324,7 +340,7 @@ stages! {
             Input::of("predictions", Provider::Predictions),
             Input::of("lpips", Provider::Weights(WeightsRole::Lpips)),
         ],
-        filled: &[("method", Filled::Method), ("setting", Filled::Setting)],
+        filled: &[("method", Filled::Method)],
         outputs: &[
             Output {
                 method: "stage1",

@@ -65,6 +65,26 @@ fn wrong_values_say_where_and_what() {
 }
 
 #[test]
+fn what_is_observed_is_asked_for_in_one_place() {
+    for table in ["ingest", "input.ingest"] {
+        let (message, hint) = refusal(&format!("[{table}]\nobservations = \"rollout\"\n"));
+        assert!(
+            message.starts_with("toy.toml:12:1: `observations` is not set here"),
+            "{message}"
+        );
+        assert!(hint.contains("[rollouts]"), "{hint}");
+    }
+    let (message, _) = refusal("[[variants]]\nname = \"x\"\ningest = { rollout = {} }\n");
+    assert!(message.contains("`rollout` is not set here"), "{message}");
+    let (message, hint) = refusal("[[predictions]]\nname = \"x\"\nroot = \"r\"\nsetting = \"rollout\"\n");
+    assert!(
+        message.contains("the run has no setting `rollout`, it has recorded"),
+        "{message}"
+    );
+    assert!(hint.contains("[rollouts]"), "{hint}");
+}
+
+#[test]
 fn mistakes_in_a_variant_or_episode_are_marked_there() {
     // The first variant is right, the second is not.
     let first = "[[variants]]\nname = \"a\"\nlift.seed = 1\n";

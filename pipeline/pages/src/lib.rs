@@ -4,12 +4,14 @@
 //! they are a crate: training knows no orchestrator. Everything is [`Markup`]: text is escaped where it goes in.
 
 mod axis;
+mod bars;
 mod plot;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
+pub use bars::Bars;
 pub use plot::{Plot, PlotPoint, Series};
 
 /// What a page may do: show what it carries, and nothing else. No script, nothing from outside.

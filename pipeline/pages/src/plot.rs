@@ -43,15 +43,15 @@ pub struct PlotPoint {
     pub name: String,
 }
 
-const WIDTH: f64 = 420.0;
-const HEIGHT: f64 = 300.0;
+pub(crate) const WIDTH: f64 = 420.0;
+pub(crate) const HEIGHT: f64 = 300.0;
 /// Edges of the area that is drawn in.
-const LEFT: f64 = 58.0;
-const RIGHT: f64 = WIDTH - 12.0;
-const TOP: f64 = 10.0;
-const BOTTOM: f64 = HEIGHT - 42.0;
+pub(crate) const LEFT: f64 = 58.0;
+pub(crate) const RIGHT: f64 = WIDTH - 12.0;
+pub(crate) const TOP: f64 = 10.0;
+pub(crate) const BOTTOM: f64 = HEIGHT - 42.0;
 /// Colours that people with colour-blindness can tell apart, on light and dark ground.
-const COLOURS: [&str; 7] = [
+pub(crate) const COLOURS: [&str; 7] = [
     "#0f7fc4", "#d55e00", "#009e73", "#cc79a7", "#e0a400", "#56b4e9", "#8a6fd1",
 ];
 
@@ -161,7 +161,7 @@ fn entry(index: usize, label: &str, colour: &str) -> Markup {
 }
 
 /// A coordinate, exact enough for a screen.
-fn tenths(value: f64) -> String {
+pub(crate) fn tenths(value: f64) -> String {
     format!("{value:.1}")
 }
 

@@ -47,7 +47,13 @@ fn stays<T: Record + Debug>(name: &str, record: &T) {
 
 #[test]
 fn every_schema_version_stays_readable() {
-    stays("clip", &common::clip());
+    stays("clip", &common::rollout_clip());
+    let (read, _) = read_record::<Clip>(&golden("clip-1.1.r4c")).unwrap();
+    assert_eq!(
+        format!("{read:?}"),
+        format!("{:?}", common::clip()),
+        "a clip from before rollouts"
+    );
     stays("robot", &common::robot());
     stays("conditioning", &common::conditioning());
     stays("field", &common::field());
@@ -85,6 +91,7 @@ fn python_reads_the_same_bytes() {
     let names = [
         "clip-1.0",
         "clip-1.1",
+        "clip-1.2",
         "robot-1.0",
         "conditioning-1.0",
         "field-1.0",

@@ -5,7 +5,7 @@ mod common;
 
 use common::Scratch;
 use rogs_r4c::{Error, Reader, Record, inspect, read_header, read_record, verify, write_record};
-use rogs_schemas::records::clip::Clip;
+use rogs_schemas::records::clip::{Clip, SourceView};
 use rogs_schemas::records::field::Field;
 use rogs_schemas::{CameraIndex, FrameIndex};
 
@@ -39,6 +39,7 @@ fn survives<T: Record + std::fmt::Debug>(name: &str, record: &T) {
 #[test]
 fn every_record_survives() {
     survives("clip", &common::clip());
+    survives("rollout", &common::rollout_clip());
     survives("robot", &common::robot());
     survives("conditioning", &common::conditioning());
     survives("field", &common::field());
@@ -51,7 +52,7 @@ fn a_clip_without_optional_parts_survives() {
     let mut clip = common::clip();
     clip.tracks = None;
     clip.cameras.truncate(1);
-    clip.cameras[0].rgb = None;
+    clip.cameras[0].recorded = None;
     clip.query_frames.clear();
     survives("bare-clip", &clip);
 }
@@ -81,7 +82,7 @@ fn contradictions_are_refused_on_writing() {
         assert!(!path.exists());
     };
     refused("rgb has", &|clip| {
-        clip.cameras[0].rgb.as_mut().unwrap().pop();
+        clip.cameras[0].recorded.as_mut().unwrap().pop();
     });
     refused("depth has", &|clip| {
         clip.cameras[1].depth.as_mut().unwrap().depth_m.push(0.0)
@@ -109,6 +110,71 @@ fn contradictions_are_refused_on_writing() {
 }
 
 #[test]
+fn a_rollout_is_seen_generated_and_compared_with_what_was_recorded() {
+    let clip = common::rollout_clip();
+    let view = |camera: u32, frame: u32| SourceView {
+        camera: CameraIndex(camera),
+        frame: FrameIndex(frame),
+    };
+    let image =
+        |images: &Option<Vec<u8>>, frame: usize| images.as_ref().unwrap()[frame * 45..(frame + 1) * 45].to_vec();
+    for (camera, own) in clip.cameras.iter().enumerate().take(2) {
+        for frame in 0..3 {
+            let seen = clip.observation(view(camera as u32, frame as u32)).unwrap();
+            assert_eq!(seen.rgb(), image(&own.generated, frame));
+            assert_eq!(
+                clip.target(CameraIndex(camera as u32), FrameIndex(frame as u32))
+                    .unwrap()
+                    .rgb(),
+                image(&own.recorded, frame)
+            );
+        }
+    }
+    assert_eq!(clip.setting(), "rollout");
+    let recorded = common::clip();
+    let seen = recorded.observation(view(1, 2)).unwrap();
+    assert_eq!(seen.rgb(), image(&recorded.cameras[1].recorded, 2));
+    assert_eq!(recorded.setting(), "recorded");
+    // Held-out cameras are never observed; frames and cameras beyond the clip are not there.
+    let mut lit = common::clip();
+    lit.cameras[2].recorded = lit.cameras[1].recorded.clone();
+    assert!(lit.target(CameraIndex(2), FrameIndex(0)).is_some());
+    assert_eq!(lit.observation(view(2, 0)), None);
+    for (camera, frame) in [(1, 3), (1, u32::MAX), (9, 0)] {
+        assert_eq!(lit.observation(view(camera, frame)), None);
+        assert_eq!(lit.target(CameraIndex(camera), FrameIndex(frame)), None);
+    }
+}
+
+#[test]
+fn generated_images_belong_to_the_source_cameras_of_rollouts() {
+    let scratch = Scratch::new("generated");
+    let path = scratch.file("a.r4c");
+    let refused = |what: &str, change: &dyn Fn(&mut Clip)| {
+        let mut clip = common::rollout_clip();
+        change(&mut clip);
+        let error = write_record(&path, &clip, &common::provenance("clip")).unwrap_err();
+        assert!(error.to_string().contains(what), "{what}: {error}");
+    };
+    refused("they alone, have generated images", &|clip| clip.rollout = None);
+    refused("they alone, have generated images", &|clip| {
+        clip.cameras[0].generated = None
+    });
+    refused("they alone, have generated images", &|clip| {
+        clip.cameras[2].generated = clip.cameras[1].generated.clone();
+    });
+    refused("generated rgb has", &|clip| {
+        clip.cameras[1].generated.as_mut().unwrap().pop();
+    });
+    refused("first-frame figures", &|clip| {
+        clip.rollout.as_mut().unwrap().first_frame_psnr_db.pop();
+    });
+    refused("NaN", &|clip| {
+        clip.rollout.as_mut().unwrap().first_frame_psnr_db[0] = Some(f64::NAN);
+    });
+}
+
+#[test]
 fn a_missing_file_is_an_error_of_the_system() {
     let error = read_header(std::path::Path::new("no-such-folder/no-such.r4c")).unwrap_err();
     assert!(matches!(error, Error::Io { action: "opening", .. }));
@@ -131,7 +197,7 @@ fn one_chunk_is_read_without_the_others() {
         fill: "",
     };
     let image = reader.read_chunk::<u8>(&spec, &[3, 5, 3], [1, 2, 0, 0]).unwrap();
-    assert_eq!(image, clip.cameras[1].rgb.as_ref().unwrap()[2 * 45..]);
+    assert_eq!(image, clip.cameras[1].recorded.as_ref().unwrap()[2 * 45..]);
     assert!(
         reader.read_chunk::<u8>(&spec, &[3, 5, 3], [2, 0, 0, 0]).is_err(),
         "that camera has no images"

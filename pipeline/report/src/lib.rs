@@ -14,6 +14,7 @@
 //! The page needs no network and no script: pictures are inlined, and a content security policy forbids everything else.
 //! Text is escaped by type, see `maud`.
 
+mod contract;
 mod costs;
 mod forms;
 mod page;

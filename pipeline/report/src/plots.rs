@@ -2,10 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use rogs_pages::{Plot, PlotPoint, Series};
+use rogs_pages::{Bars, Plot, PlotPoint, Series};
 use rogs_schemas::records::scores::ScoreSheet;
 use rogs_score::metrics::mean;
 use rogs_score::summary::{ImageMetric, Metric, clip_value};
+use rogs_score::tables::heading;
 
 /// Methods that are compared, with the baseline first: those that are not variants of another.
 fn plain_methods(sheets: &[ScoreSheet]) -> Vec<&str> {
@@ -39,15 +40,16 @@ pub(crate) fn plots(sheets: &[ScoreSheet]) -> Vec<Plot> {
     plots
 }
 
-/// Mean over clips after 0, 1, ... refinement updates (methods `stage1+2/rN`).
+/// Mean over clips after 0, 1, ... refinement updates (methods `stage1+2/rN`), a line a setting.
 fn recurrence_plot(sheets: &[ScoreSheet], metric: Metric, label: &str) -> Plot {
-    let mut by_update: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
+    let mut by_setting: BTreeMap<&str, BTreeMap<u32, Vec<f64>>> = BTreeMap::new();
     for sheet in sheets {
         let update = sheet
             .method
             .strip_prefix("stage1+2/r")
             .and_then(|update| update.parse().ok());
         if let (Some(update), Some(value)) = (update, clip_value(sheet, metric)) {
+            let by_update = by_setting.entry(&sheet.setting).or_default();
             by_update.entry(update).or_default().push(value);
         }
     }
@@ -59,19 +61,16 @@ fn recurrence_plot(sheets: &[ScoreSheet], metric: Metric, label: &str) -> Plot {
             name: format!("{update} updates, {} clips", values.len()),
         })
     };
-    let points: Vec<PlotPoint> = by_update.into_iter().filter_map(point).collect();
+    let several = by_setting.len() > 1;
+    let series = by_setting.into_iter().map(|(setting, by_update)| Series {
+        label: if several { heading(setting) } else { String::new() },
+        points: by_update.into_iter().filter_map(point).collect(),
+    });
     Plot {
         title: format!("Refinement updates: {label}"),
         x_label: "updates".to_owned(),
         y_label: label.to_owned(),
-        series: if points.len() > 1 {
-            vec![Series {
-                label: String::new(),
-                points,
-            }]
-        } else {
-            Vec::new()
-        },
+        series: series.filter(|series| series.points.len() > 1).collect(),
         lines: true,
         ..Plot::default()
     }
@@ -126,4 +125,36 @@ fn clip_plot(sheets: &[ScoreSheet], methods: &[&str], metric: Metric, label: &st
     }
     plot.series.retain(|series| !series.points.is_empty());
     plot
+}
+
+/// The means of the main table by method, a group of bars a setting, for metrics that some method has.
+pub(crate) fn bars(sheets: &[ScoreSheet]) -> Vec<Bars> {
+    let metrics = [
+        (Metric::Source(ImageMetric::Psnr), "source PSNR, dB", "higher is better"),
+        (Metric::Novel(ImageMetric::Psnr), "novel PSNR, dB", "higher is better"),
+        (Metric::Novel(ImageMetric::AbsRel), "novel AbsRel", "lower is better"),
+        (Metric::RobotEpe, "robot EPE, mm", "lower is better"),
+    ];
+    let methods = plain_methods(sheets);
+    let settings: BTreeSet<&str> = sheets.iter().map(|sheet| sheet.setting.as_str()).collect();
+    let of = |metric: Metric, setting: &str| -> Vec<(String, f64)> {
+        let bar = |method: &&str| {
+            let own = sheets
+                .iter()
+                .filter(|sheet| sheet.method == **method && sheet.setting == setting);
+            let values: Vec<f64> = own.filter_map(|sheet| clip_value(sheet, metric)).collect();
+            Some(((*method).to_owned(), mean(&values)?))
+        };
+        methods.iter().filter_map(bar).collect()
+    };
+    let made = metrics.into_iter().map(|(metric, label, better)| Bars {
+        title: format!("Methods: {label} ({better})"),
+        label: label.to_owned(),
+        groups: settings
+            .iter()
+            .map(|setting| (heading(setting), of(metric, setting)))
+            .collect(),
+    });
+    made.filter(|bars| bars.groups.iter().map(|(_, bars)| bars.len()).sum::<usize>() > 1)
+        .collect()
 }

@@ -12,11 +12,13 @@ use rogs_orchestrator::{Error, Result};
 use rogs_r4c::read_record;
 use rogs_schemas::CacheKey;
 use rogs_schemas::ledger::Attempt;
+use rogs_schemas::records::clip::{Clip, ROLLOUT};
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
 use rogs_score::cohort::CohortCounts;
-use rogs_score::tables::{Table, TableId, TableInput, TableOptions, table};
+use rogs_score::tables::{MethodSignals, Table, TableId, TableInput, TableOptions, table};
 use rogs_score::timing::ClipTiming;
 
+use crate::contract::signals;
 use crate::costs::{keep_some_timings, timing};
 
 /// What a run folder holds for tables and reports.
@@ -29,6 +31,8 @@ pub struct RunResults {
     pub(crate) sheets: Vec<ScoreSheet>,
     /// What the units cost, for the `timing` and `main` tables.
     timings: Vec<ClipTiming>,
+    /// What every method was given, by the first clip that has scores of it.
+    signals: BTreeMap<(String, String), MethodSignals>,
 }
 
 /// What there is of one clip.
@@ -36,11 +40,13 @@ pub struct RunResults {
 pub(crate) struct ClipResults {
     /// Clip id.
     pub(crate) id: String,
-    /// The clip's own file.
+    /// The recorded clip.
     pub(crate) clip: Option<PathBuf>,
+    /// The clip with observations of a world model.
+    pub(crate) rollout: Option<PathBuf>,
     /// Robot maps.
     pub(crate) robot: Option<PathBuf>,
-    /// Scores by method, in the order of the plan.
+    /// Scores by method, in the order of the plan; by node where the file cannot be read.
     pub(crate) scores: Vec<(String, PathBuf)>,
     /// What went wrong.
     pub(crate) failures: Vec<StatusFailure>,
@@ -61,6 +67,7 @@ impl RunResults {
             clips: Vec::new(),
             sheets: Vec::new(),
             timings: Vec::new(),
+            signals: BTreeMap::new(),
             plan,
         };
         for index in 0..results.plan.clips.len() {
@@ -77,6 +84,8 @@ impl RunResults {
 
     fn add_clip(&mut self, index: usize, states: &[OutputState], attempts: &HashMap<(PathBuf, CacheKey), Attempt>) {
         let plan = &self.plan;
+        // Records of the clip by node, read once where the signals of a method are not known yet.
+        let mut records: BTreeMap<usize, Option<Clip>> = BTreeMap::new();
         let keys = plan.keys(index);
         let mut clip = ClipResults {
             id: plan.clips[index].id.clone(),
@@ -99,7 +108,8 @@ impl RunResults {
                 continue;
             }
             match node.stage {
-                StageId::Ingest => clip.clip = Some(path),
+                StageId::Ingest if is_rollout(&node.params) => clip.rollout = clip.rollout.take().or(Some(path)),
+                StageId::Ingest => clip.clip = clip.clip.take().or(Some(path)),
                 StageId::RobotMaps if !node.by_key => clip.robot = Some(path),
                 StageId::Score => match read_record::<Scores>(&path) {
                     // An outside method without a prediction for the clip: it does not count there.
@@ -107,6 +117,17 @@ impl RunResults {
                     Ok((scores, _)) => {
                         let sheet = scores.summary;
                         clip.scores.push((sheet.method.clone(), path));
+                        let name = (sheet.setting.clone(), sheet.method.clone());
+                        let ingest = plan
+                            .upstream(node_index)
+                            .find(|&node| plan.nodes[node].stage == StageId::Ingest);
+                        if let (false, Some(node)) = (self.signals.contains_key(&name), ingest) {
+                            let unit = WorkUnit { clip: index, node };
+                            let read = || read_record::<Clip>(&plan.run.join(plan.output(unit, &keys))).ok();
+                            let record = records.entry(node).or_insert_with(|| Some(read()?.0));
+                            let found = record.as_ref().map(|record| signals(plan, node_index, &sheet, record));
+                            self.signals.extend(found.map(|found| (name, found)));
+                        }
                         self.timings.push(timing(plan, index, node_index, &sheet, &costs));
                         self.sheets.push(sheet);
                     }
@@ -119,18 +140,35 @@ impl RunResults {
         self.clips.push(clip);
     }
 
+    /// Takes in the scores, times and signals of another run, for tables over both: of other clips, methods or settings.
+    pub fn add(&mut self, other: Self) {
+        self.sheets.extend(other.sheets);
+        self.timings.extend(other.timings);
+        for (name, signals) in other.signals {
+            self.signals.entry(name).or_insert(signals);
+        }
+        keep_some_timings(&mut self.timings);
+    }
+
     /// One table of the paper over the clips of the run.
     ///
     /// # Errors
     /// When two outputs are scores of one method, setting and clip.
     pub fn table(&self, id: TableId, cohort: Option<&CohortCounts>, options: TableOptions) -> Result<Table> {
+        let signals: Vec<MethodSignals> = self.signals.values().cloned().collect();
         let input = TableInput {
             sheets: &self.sheets,
             timings: &self.timings,
             cohort,
+            signals: &signals,
         };
         table(id, &input, options).map_err(|error| Error::usage(error.to_string()))
     }
+}
+
+/// Whether the parameters of an ingest node ask for a rollout.
+fn is_rollout(params: &serde_json::Value) -> bool {
+    params.get("observations").and_then(serde_json::Value::as_str) == Some(ROLLOUT)
 }
 
 /// Whether nothing was measured.

@@ -49,6 +49,9 @@ pub fn write_report(run: &Path) -> Result<PathBuf> {
 
 /// Whether a table says something about this run: a number, and in tables of variants one of a variant.
 fn has_content(table: &Table) -> bool {
+    if table.id == TableId::Inputs {
+        return table.rows.iter().any(|row| !row.method.is_empty());
+    }
     let of_variants = !matches!(
         table.id,
         TableId::Main | TableId::Additional | TableId::Ci | TableId::Scale | TableId::Timing

@@ -17,6 +17,7 @@ fn tables(options: TableOptions) -> Vec<Table> {
         sheets: &sheets,
         timings: &timings,
         cohort: Some(&COHORT),
+        signals: &[],
     };
     let make = |id| table(id, &input, options).unwrap();
     TableId::ALL.map(make).to_vec()

@@ -1,4 +1,8 @@
 //! The clip: one fixed interval of one episode, with its cameras, robot states and references.
+//!
+//! A clip tells what is reconstructed ([`Clip::observation`]) from what a reconstruction is compared with
+//! ([`Clip::target`], reference depth, tracks). In a recorded clip both are the recorded images; in a rollout
+//! ([`Clip::rollout`]) observations are frames of a world model, while targets and references stay the recorded ones.
 
 use serde::{Deserialize, Serialize};
 
@@ -41,6 +45,22 @@ pub struct Clip {
     pub robot: RobotStates,
     /// 3D tracks, where the episode has them.
     pub tracks: Option<Tracks>,
+    /// The world model whose frames are the observations of this clip; `None`: the recorded images are.
+    pub rollout: Option<Rollout>,
+}
+
+/// Where the observations of a rollout come from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Rollout {
+    /// The model, in words; empty where nobody named it.
+    pub model: String,
+    /// How its frames lay on disk: `composite`, `views`, `ctrl-world`.
+    pub layout: String,
+    /// Frames of the files that are clip frames 0 and 1, as a start and a step.
+    pub frames: [u32; 2],
+    /// How far the first generated frame is the first recorded one, by camera of the clip: PSNR over the clip's pixels,
+    /// dB; none where there is no recorded or no generated image. `[C]`
+    pub first_frame_psnr_db: Vec<Option<f64>>,
 }
 
 /// What a camera is for.
@@ -87,8 +107,11 @@ pub struct ClipCamera {
     pub intrinsics: Intrinsics,
     /// Pose.
     pub mount: CameraMount,
-    /// RGB, 8 bit. `[F, H, W, 3]`; `None` when the episode has no images of this camera (nothing to compare with).
-    pub rgb: Option<Vec<u8>>,
+    /// Recorded RGB, 8 bit. `[F, H, W, 3]`; `None` when the episode has no images of this camera (nothing to compare
+    /// with). Stages read [`Clip::observation`] and [`Clip::target`].
+    pub recorded: Option<Vec<u8>>,
+    /// RGB that a world model made, 8 bit. `[F, H, W, 3]`; of every source camera of a rollout, and of no other.
+    pub generated: Option<Vec<u8>>,
     /// Reference depth, where there is any.
     pub depth: Option<DepthReference>,
 }
@@ -136,7 +159,71 @@ pub struct Tracks {
 /// How [`Clip::calibration_note`] begins for episodes of the procedural generator.
 pub const PROCEDURAL_NOTE: &str = "procedural:";
 
+/// An image that a reconstruction may be made from, 8 bit. `[H, W, 3]`
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Observation<'a>(&'a [u8]);
+
+/// An image that a reconstruction is compared with, 8 bit. `[H, W, 3]`
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Target<'a>(&'a [u8]);
+
+impl<'a> Observation<'a> {
+    /// Its pixels.
+    #[must_use]
+    pub fn rgb(self) -> &'a [u8] {
+        self.0
+    }
+}
+
+impl<'a> Target<'a> {
+    /// Its pixels.
+    #[must_use]
+    pub fn rgb(self) -> &'a [u8] {
+        self.0
+    }
+}
+
+/// The setting of a clip whose observations are recorded.
+pub const RECORDED: &str = "recorded";
+/// The setting of a clip whose observations a world model made.
+pub const ROLLOUT: &str = "rollout";
+
 impl Clip {
+    /// What a source camera shows of a clip frame to whoever reconstructs it: the recorded image, or in a rollout the
+    /// generated one. `None` for cameras that are held out, and where there is no image.
+    #[must_use]
+    pub fn observation(&self, view: SourceView) -> Option<Observation<'_>> {
+        let camera = self.cameras.get(view.camera.at())?;
+        let images = match (&self.rollout, camera.role) {
+            (_, CameraRole::Evaluation) => return None,
+            (None, CameraRole::Source) => camera.recorded.as_deref()?,
+            (Some(_), CameraRole::Source) => camera.generated.as_deref()?,
+        };
+        self.image(images, view.frame).map(Observation)
+    }
+
+    /// The recorded image of a camera at a clip frame, which renders are compared with; `None` where there is none.
+    #[must_use]
+    pub fn target(&self, camera: CameraIndex, frame: FrameIndex) -> Option<Target<'_>> {
+        let images = self.cameras.get(camera.at())?.recorded.as_deref()?;
+        self.image(images, frame).map(Target)
+    }
+
+    fn image<'a>(&self, images: &'a [u8], frame: FrameIndex) -> Option<&'a [u8]> {
+        let size = self.height as usize * self.width as usize * 3;
+        let start = frame.at().checked_mul(size)?;
+        images.get(start..start.checked_add(size)?)
+    }
+
+    /// What score tables call the observations: [`RECORDED`] or [`ROLLOUT`].
+    #[must_use]
+    pub fn setting(&self) -> &'static str {
+        match self.rollout {
+            None => RECORDED,
+            Some(_) => ROLLOUT,
+        }
+    }
+
     /// Whether the clip comes from the procedural generator and not from a camera or a video model.
     #[must_use]
     pub fn is_procedural(&self) -> bool {
@@ -254,6 +341,17 @@ impl Clip {
         finite("a joint position", positions)?;
         count("gripper states", gripper.len(), frames)?;
         finite("a gripper state", gripper)?;
+        if let Some(rollout) = &self.rollout {
+            count(
+                "first-frame figures",
+                rollout.first_frame_psnr_db.len(),
+                self.cameras.len(),
+            )?;
+            let mut figures = rollout.first_frame_psnr_db.iter().flatten();
+            ensure(!figures.any(|figure| figure.is_nan()), || {
+                "a first-frame figure is NaN".into()
+            })?;
+        }
         match &self.tracks {
             None => Ok(()),
             Some(tracks) => self.check_tracks(tracks, frames),
@@ -282,9 +380,15 @@ impl Clip {
                     .try_for_each(|item| pose("a pose of its trajectory", item))?;
             }
         }
-        if let Some(rgb) = &camera.rgb {
-            count("rgb", rgb.len(), product("rgb", &[frames, area, 3])?)?;
+        for (what, rgb) in [("rgb", &camera.recorded), ("generated rgb", &camera.generated)] {
+            if let Some(rgb) = rgb {
+                count(what, rgb.len(), product(what, &[frames, area, 3])?)?;
+            }
         }
+        let generated = self.rollout.is_some() && camera.role == CameraRole::Source;
+        ensure(camera.generated.is_some() == generated, || {
+            "source cameras of a rollout, and they alone, have generated images".into()
+        })?;
         if let Some(depth) = &camera.depth {
             count("depth", depth.depth_m.len(), product("depth", &[frames, area])?)?;
             let [near, far] = depth.range_m;

@@ -73,7 +73,8 @@ fn records(file: &Tensors) -> (Clip, RobotMaps) {
             mount: CameraMount::Fixed {
                 base_from_camera: cameras[index].to_rigid(),
             },
-            rgb: None,
+            recorded: None,
+            generated: None,
             depth: None,
         }
     };
@@ -97,6 +98,7 @@ fn records(file: &Tensors) -> (Clip, RobotMaps) {
             gripper: vec![0.0; 3],
         },
         tracks: None,
+        rollout: None,
     };
     let (depth, link, support) = (
         file.values("mesh_depth_m"),

@@ -1,12 +1,15 @@
 //! From a described episode to a clip: choose frames, decode, resize.
 
+use std::path::Path;
+
 use rayon::prelude::*;
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Tracks};
 use rogs_schemas::{CameraIndex, ClipId, EpisodeFrame, FrameIndex, RigidPose};
 use rogs_worker::{StageError, StageResult};
 
-use crate::params::{Params, QueryChoice, QueryPlanName};
+use crate::params::{Observations, Params, QueryChoice, QueryPlanName};
 use crate::resize::Mapping;
+use crate::rollout::{self, Wanted};
 use crate::source::{Source, SourceCamera, SourceMount, SourceTracks, States};
 
 /// First frame of the paper's interval in a cached DROID episode (cached frames 7 to 23).
@@ -38,8 +41,13 @@ impl Interval {
     }
 }
 
-/// Makes the clip; also returns what a person should know.
-pub(crate) fn assemble(mut source: Source, params: &Params, clip_id: ClipId) -> StageResult<(Clip, Vec<String>)> {
+/// Makes the clip, from the recorded images or with a rollout; also returns what a person should know.
+pub(crate) fn assemble(
+    mut source: Source,
+    rollout: Option<&Path>,
+    params: &Params,
+    clip_id: ClipId,
+) -> StageResult<(Clip, Vec<String>)> {
     let mut warnings = std::mem::take(&mut source.warnings);
     let interval = interval(&source, params)?;
     let chosen = choose_cameras(&mut source, params)?;
@@ -53,6 +61,29 @@ pub(crate) fn assemble(mut source: Source, params: &Params, clip_id: ClipId) -> 
         cameras.push(camera);
         warnings.extend(said);
     }
+    let fps = source.fps / f64::from(interval.step);
+    let rollout = match (params.observations, rollout) {
+        (Observations::Recorded, None) => None,
+        (Observations::Recorded, Some(path)) => {
+            let text = format!(
+                "a rollout is given (`{}`), but `observations` are recorded",
+                path.display()
+            );
+            return Err(StageError::bad_params(text).with_hint("set `observations` to \"rollout\", or leave it out"));
+        }
+        (Observations::Rollout, None) => return Err(rollout::missing(&source)),
+        (Observations::Rollout, Some(path)) => {
+            let wanted = Wanted {
+                source: &source,
+                frames: interval.count,
+                start: interval.start,
+                fps,
+            };
+            let (rollout, said) = rollout::read(path, &wanted, &mut cameras, params)?;
+            warnings.extend(said);
+            Some(rollout)
+        }
+    };
     let tracks = match &source.tracks {
         None => None,
         Some(tracks) => make_tracks(tracks, &chosen, &source, interval, params, &mut warnings)?,
@@ -82,7 +113,7 @@ pub(crate) fn assemble(mut source: Source, params: &Params, clip_id: ClipId) -> 
         layout: source.layout.to_owned(),
         task: source.task,
         calibration_note: source.calibration_note,
-        fps: source.fps / f64::from(interval.step),
+        fps,
         episode_frames: interval.frames().collect(),
         source_frames: params.source_frames.clone(),
         query_frames,
@@ -92,6 +123,7 @@ pub(crate) fn assemble(mut source: Source, params: &Params, clip_id: ClipId) -> 
         cameras,
         robot: make_states(&source.states, interval),
         tracks,
+        rollout,
     };
     Ok((clip, warnings))
 }
@@ -180,7 +212,8 @@ fn make_camera(
     let mapping = Mapping::new(size, (params.width, params.height), params.fit);
     let area = params.width as usize * params.height as usize;
     let mut warnings = Vec::new();
-    if camera.role == CameraRole::Source && camera.images.is_none() {
+    let is_observed = camera.role == CameraRole::Source && params.observations == Observations::Recorded;
+    if is_observed && camera.images.is_none() {
         return Err(StageError::bad_input(format!(
             "source camera `{}` of episode `{}` has no images",
             camera.id, source.episode_id
@@ -252,7 +285,8 @@ fn make_camera(
             partner,
             intrinsics,
             mount,
-            rgb,
+            recorded: rgb,
+            generated: None,
             depth,
         },
         warnings,

@@ -18,6 +18,7 @@ mod media;
 mod params;
 mod pointworld;
 mod resize;
+mod rollout;
 mod source;
 mod survey;
 mod video;
@@ -36,8 +37,12 @@ use rogs_worker::{Context, Stage, StageError, StageResult};
 
 pub use listing::{EpisodeListing, list_episodes};
 pub use media::{MediaReport, media_report};
-pub use params::{CameraChoice, Fit, LayoutChoice, Params, PointWorldParams, QueryChoice, QueryPlanName, StateColumns};
+pub use params::{
+    CameraChoice, Fit, LayoutChoice, Observations, Params, PointWorldParams, QueryChoice, QueryPlanName, RolloutLayout,
+    RolloutParams, StateColumns,
+};
 pub use pointworld::{PointWorldFiles, ReferenceFiles, list_references};
+pub use rollout::compose;
 pub use survey::{EpisodeContent, EpisodeFacts, survey};
 
 /// The stage.
@@ -59,6 +64,7 @@ impl Stage for Ingest {
             InputDescription::optional(pointworld::ROLES[0], "file"),
             InputDescription::optional(pointworld::ROLES[1], "file"),
             InputDescription::optional(pointworld::ROLES[2], "file"),
+            InputDescription::optional("rollout", "folder"),
         ]
     }
 
@@ -71,11 +77,16 @@ impl Stage for Ingest {
         context.progress(0.0, "reading the episode");
         let root = context.input("episode")?.to_owned();
         let calibration = context.optional_input("calibration").map(Path::to_owned);
+        let rollout = context.optional_input("rollout").map(Path::to_owned);
         let clip_id = context.clip_id().to_owned();
         let params = &self.params;
         let cache = PointWorldFiles::by_role(|role| context.optional_input(role).map(Path::to_owned));
-        let read = |_: &mut Context<'_>| read_joined_clip(&root, calibration.as_deref(), &cache, params, &clip_id);
-        let (clip, warnings) = context.timed("read", read)?;
+        let beside = Beside {
+            calibration: calibration.as_deref(),
+            cache: &cache,
+            rollout: rollout.as_deref(),
+        };
+        let (clip, warnings) = context.timed("read", |_| read(&root, &beside, params, &clip_id))?;
         warnings.into_iter().for_each(|warning| context.warn(warning));
         context.progress(0.9, "writing the clip");
         context.timed("write", |context| context.write(&clip))
@@ -106,11 +117,47 @@ pub fn read_joined_clip(
     params: &Params,
     clip_id: &str,
 ) -> StageResult<(Clip, Vec<String>)> {
+    let beside = Beside {
+        calibration,
+        cache,
+        rollout: None,
+    };
+    read(root, &beside, params, clip_id)
+}
+
+/// Reads a clip of an episode with the frames of a world model as its observations: a video or a folder
+/// (`docs/rollouts.md`). [`Params::observations`] must say so. Also returns what a person should know.
+///
+/// # Errors
+/// When the parameters, the episode or the rollout are wrong, or do not belong together; the message names the file.
+pub fn read_rollout(
+    root: &Path,
+    calibration: Option<&Path>,
+    rollout: &Path,
+    params: &Params,
+    clip_id: &str,
+) -> StageResult<(Clip, Vec<String>)> {
+    let beside = Beside {
+        calibration,
+        cache: &PointWorldFiles::default(),
+        rollout: Some(rollout),
+    };
+    read(root, &beside, params, clip_id)
+}
+
+/// What is read beside an episode.
+struct Beside<'a> {
+    calibration: Option<&'a Path>,
+    cache: &'a PointWorldFiles,
+    rollout: Option<&'a Path>,
+}
+
+fn read(root: &Path, beside: &Beside<'_>, params: &Params, clip_id: &str) -> StageResult<(Clip, Vec<String>)> {
     params.check()?;
-    let mut source = layouts::open(root, calibration, params)?;
+    let mut source = layouts::open(root, beside.calibration, params)?;
     let clip_id = ClipId::new(clip_id).map_err(|error| StageError::bad_params(error.to_string()))?;
-    let params = cache.join(&mut source, params)?;
-    assemble::assemble(source, &params, clip_id)
+    let params = beside.cache.join(&mut source, params)?;
+    assemble::assemble(source, beside.rollout, &params, clip_id)
 }
 
 /// The faces `list ROOT [--json]` and `references ROOT [--json]`; `None` when the arguments ask for something else.

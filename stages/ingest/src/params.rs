@@ -43,6 +43,71 @@ pub struct Params {
     pub states: StateColumns,
     /// How caches of PointWorld are used, where the episode has some.
     pub pointworld: PointWorldParams,
+    /// What the clip shows to those who reconstruct it.
+    pub observations: Observations,
+    /// How the rollout lies on disk, where `observations` are one.
+    pub rollout: RolloutParams,
+}
+
+/// What a clip shows to those who reconstruct it. Targets and references are the recorded ones in either case.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Observations {
+    /// The recorded images.
+    #[default]
+    Recorded,
+    /// The frames of a world model (input `rollout`, docs/rollouts.md).
+    Rollout,
+}
+
+/// How a rollout lies on disk.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct RolloutParams {
+    /// The world model, in words for reports.
+    pub model: String,
+    /// Where the views are in its files.
+    pub layout: RolloutLayout,
+    /// Frame of the files that shows clip frame 0.
+    pub first_frame: u32,
+    /// Frames that every file has. `null`: those that the clip needs and no more.
+    pub frames: Option<u32>,
+    /// Frames per second of the files, where their headers do not say or are wrong.
+    pub fps: Option<f64>,
+    /// Of padded composites: target height and width, content height and width, as Cosmos 3 stores them. `null`: told from
+    /// the size of the frames.
+    pub image_size: Option<[u32; 4]>,
+    /// The first generated frame of a camera must be this close to its first recorded one, dB of PSNR.
+    pub min_first_frame_psnr_db: f64,
+}
+
+impl Default for RolloutParams {
+    fn default() -> Self {
+        Self {
+            model: String::new(),
+            layout: RolloutLayout::Auto,
+            first_frame: 0,
+            frames: None,
+            fps: None,
+            image_size: None,
+            min_first_frame_psnr_db: 20.0,
+        }
+    }
+}
+
+/// Where the views are in the files of a rollout.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum RolloutLayout {
+    /// Told by the file: a folder of views, a Ctrl-World replay by its name, else a composite.
+    #[default]
+    Auto,
+    /// One video or folder of PNG files: the wrist above two external cameras of half its size (Cosmos 3).
+    Composite,
+    /// A folder with one video or folder of PNG files a camera, named by it.
+    Views,
+    /// A replay as Ctrl-World writes it: recorded above generated, ext1, ext2, wrist from left to right.
+    CtrlWorld,
 }
 
 impl Default for Params {
@@ -63,6 +128,8 @@ impl Default for Params {
             depth_range_m: None,
             states: StateColumns::default(),
             pointworld: PointWorldParams::default(),
+            observations: Observations::Recorded,
+            rollout: RolloutParams::default(),
         }
     }
 }
@@ -228,6 +295,20 @@ impl Params {
         {
             return wrong(format!("invalid `depth_range_m` {near} to {far}: expected an interval"));
         }
-        self.pointworld.check()
+        self.pointworld.check()?;
+        let RolloutParams {
+            fps,
+            min_first_frame_psnr_db: least,
+            ..
+        } = self.rollout;
+        if let Some(fps) = fps.filter(|fps| !(fps.is_finite() && *fps > 0.0)) {
+            return wrong(format!("invalid `rollout.fps` {fps}: expected frames per second"));
+        }
+        if !least.is_finite() {
+            return wrong(format!(
+                "invalid `rollout.min_first_frame_psnr_db` {least}: expected e.g. 20"
+            ));
+        }
+        Ok(())
     }
 }

@@ -42,6 +42,15 @@ impl Mapping {
         }
     }
 
+    /// The same part of the view from images of another size, which show all of it as well: a model's frames of a camera
+    /// are its recorded ones scaled along each axis.
+    pub(crate) fn of_size(self, source: (u32, u32)) -> Self {
+        Self {
+            source: (source.0 as usize, source.1 as usize),
+            ..self
+        }
+    }
+
     /// Scale along x and y.
     fn scale(&self) -> (f64, f64) {
         (

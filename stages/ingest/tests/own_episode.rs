@@ -51,7 +51,7 @@ fn everything_arrives() {
         ["wrist", "ext1", "ext1_right"]
     );
     for (number, camera) in clip.cameras.iter().enumerate() {
-        let rgb = camera.rgb.as_ref().unwrap();
+        let rgb = camera.recorded.as_ref().unwrap();
         for (frame, x, y) in [(0u32, 0u32, 0u32), (5, 39, 21), (16, 7, 3)] {
             let at = ((frame * HEIGHT + y) * WIDTH + x) as usize * 3;
             assert_eq!(rgb[at..at + 3], common::colour(number as u8, frame + 2, x, y));

@@ -22,7 +22,7 @@ fn params(episode: &str) -> Params {
 /// Mean colour of one image of a camera.
 fn mean(clip: &Clip, camera: usize, frame: usize) -> [f64; 3] {
     let area = (clip.height * clip.width) as usize;
-    let image = &clip.cameras[camera].rgb.as_ref().unwrap()[frame * area * 3..(frame + 1) * area * 3];
+    let image = &clip.cameras[camera].recorded.as_ref().unwrap()[frame * area * 3..(frame + 1) * area * 3];
     [0, 1, 2].map(|channel| {
         image
             .iter()
@@ -98,7 +98,7 @@ fn frames_are_those_of_their_number() {
     let (step, _) = read_clip(&root, None, &step, "c").unwrap();
     let image = |clip: &Clip, camera: usize, frame: usize| {
         let size = (clip.height * clip.width * 3) as usize;
-        clip.cameras[camera].rgb.as_ref().unwrap()[frame * size..(frame + 1) * size].to_vec()
+        clip.cameras[camera].recorded.as_ref().unwrap()[frame * size..(frame + 1) * size].to_vec()
     };
     for camera in 0..3 {
         assert_eq!(image(&late, camera, 0), image(&all, camera, 5));

@@ -1,7 +1,13 @@
 //! Source images as the network takes them, and the low-resolution intervention.
 
+use rogs_schemas::records::clip::Observation;
+
 /// RGB in [0, 1], planar, of one interleaved 8-bit image. `[H, W, 3] -> [3, H, W]`
-pub(crate) fn planar(rgb: &[u8]) -> Vec<f32> {
+pub(crate) fn planar(image: Observation<'_>) -> Vec<f32> {
+    interleaved_to_planar(image.rgb())
+}
+
+fn interleaved_to_planar(rgb: &[u8]) -> Vec<f32> {
     let channel = |index: usize| rgb.iter().skip(index).step_by(3).map(|&value| f32::from(value) / 255.0);
     (0..3).flat_map(channel).collect()
 }
@@ -94,6 +100,9 @@ mod tests {
 
     #[test]
     fn planes_are_red_green_blue() {
-        assert_eq!(planar(&[255, 0, 51, 0, 255, 0]), [1.0, 0.0, 0.0, 1.0, 0.2, 0.0]);
+        assert_eq!(
+            interleaved_to_planar(&[255, 0, 51, 0, 255, 0]),
+            [1.0, 0.0, 0.0, 1.0, 0.2, 0.0]
+        );
     }
 }

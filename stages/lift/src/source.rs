@@ -2,7 +2,7 @@
 
 use burn::tensor::{Device, Tensor};
 use rogs_geometry::{Base, Frame, LinkMotions, LinkPoses, Pinhole, Pose, PosedCamera, Recon};
-use rogs_schemas::records::clip::{Clip, SourceView, time_of_frame};
+use rogs_schemas::records::clip::{Clip, Observation, SourceView, time_of_frame};
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::units::LengthUnit;
@@ -23,7 +23,7 @@ pub(crate) struct View<'a> {
     pub(crate) map: &'a RobotMap,
     pub(crate) camera: NetworkCamera,
     pub(crate) lens: Pinhole,
-    rgb: &'a [u8],
+    image: Observation<'a>,
 }
 
 /// The inputs of a clip, checked against each other.
@@ -93,7 +93,7 @@ impl<'a> Source<'a> {
         let (height, width) = (self.clip.height as usize, self.clip.width as usize);
         let mut images = Vec::with_capacity(self.views.len() * 3 * self.area());
         for view in &self.views {
-            let planes = rgb::planar(view.rgb);
+            let planes = rgb::planar(view.image);
             match params.rgb_downsample {
                 1 => images.extend(planes),
                 factor => {
@@ -213,12 +213,7 @@ fn gather<'a>(
             camera.id
         ))
     };
-    let area = clip.height as usize * clip.width as usize;
-    let rgb = camera
-        .rgb
-        .as_ref()
-        .and_then(|rgb| rgb.get(frame * area * 3..(frame + 1) * area * 3))
-        .ok_or_else(|| missing("source image"))?;
+    let image = clip.observation(view).ok_or_else(|| missing("source image"))?;
     let same = |map: &&RobotMap| map.camera == view.camera && map.frame == view.frame;
     let map = robot.maps.iter().find(same).ok_or_else(|| missing("robot map"))?;
     let conditioning = conditioning
@@ -235,7 +230,7 @@ fn gather<'a>(
         map,
         camera: NetworkCamera::new(&posed),
         lens: posed.lens,
-        rgb,
+        image,
     })
 }
 

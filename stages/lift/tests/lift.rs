@@ -78,7 +78,7 @@ fn a_seeded_field_is_a_plausible_still_picture() {
             .iter()
             .all(|slice| slice.displacement_m.iter().all(|&d| d == 0.0) && slice.moving_raw.is_empty())
     );
-    let rgb = inputs.clip.cameras[0].rgb.as_ref().unwrap();
+    let rgb = inputs.clip.cameras[0].recorded.as_ref().unwrap();
     for pixel in 0..AREA {
         let (z, raw) = (
             field.position_m[3 * pixel + 2],
@@ -273,7 +273,7 @@ fn inputs_that_do_not_belong_together_are_named() {
     };
     let params = LiftParams::default();
     assert!(fail(&params, &|inputs| inputs.robot.clip_id = "other".parse().unwrap()).contains("`other`"));
-    assert!(fail(&params, &|inputs| inputs.clip.cameras[1].rgb = None).contains("ext1"));
+    assert!(fail(&params, &|inputs| inputs.clip.cameras[1].recorded = None).contains("ext1"));
     assert!(fail(&params, &|inputs| inputs.robot.maps.clear()).contains("robot map"));
     assert!(fail(&params, &|inputs| inputs.conditioning.query_frames[1] = FrameIndex(3)).contains("frame 1"));
     assert!(
@@ -375,7 +375,7 @@ fn camera_wise_fields_take_their_size_from_stereo_and_do_not_see_each_other() {
     // Another picture of the second camera changes nothing of the first.
     let mut other = with_depth(1.0);
     other.clip.cameras[1]
-        .rgb
+        .recorded
         .as_mut()
         .unwrap()
         .iter_mut()

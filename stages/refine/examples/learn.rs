@@ -18,6 +18,7 @@ use rogs_field::TimedField;
 use rogs_geometry::PosedCamera;
 use rogs_refine::training::{AdamW, TrainingOptions, training_step};
 use rogs_refine::{LoadedRefiner, RefineParams, refine};
+use rogs_schemas::records::clip::Observation;
 use rogs_schemas::records::field::WeightsInfo;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::units::LengthUnit;
@@ -109,13 +110,9 @@ fn view(clip: &Example, refinement: &Refinement, update: u32, view: usize) -> Re
 
 /// The observed image of a source view, RGB in 0..=1.
 fn observed(clip: &Example, view: usize) -> Vec<f32> {
-    let source = clip.field.views[view];
-    let length = (SIZES.height * SIZES.width * 3) as usize;
-    let images = clip.clip.cameras[source.camera.at()].rgb.as_deref().unwrap_or_default();
-    images[source.frame.at() * length..][..length]
-        .iter()
-        .map(|&value| f32::from(value) / 255.0)
-        .collect()
+    let image = clip.clip.observation(clip.field.views[view]);
+    let rgb = image.map_or(&[][..], Observation::rgb);
+    rgb.iter().map(|&value| f32::from(value) / 255.0).collect()
 }
 
 fn psnr(clip: &Example, refinement: &Refinement, update: u32) -> Result<f64, Failure> {

@@ -66,16 +66,13 @@ fn source_time<'a>(
     let mut observed = Vec::with_capacity(views.len());
     for &view in &views {
         let index = field.views[view].camera;
-        let camera = &clip.cameras[index.at()];
-        let Some(rgb) = &camera.rgb else {
+        let Some(image) = clip.observation(field.views[view]) else {
             return Err(StageError::bad_input(format!(
                 "source camera `{}` has no images in the clip",
-                camera.id
+                clip.cameras[index.at()].id
             )));
         };
-        let pixels = height * width * 3;
-        let image = &rgb[frame.at() * pixels..(frame.at() + 1) * pixels];
-        let data = image.iter().map(|&value| f32::from(value) / 255.0).collect();
+        let data = image.rgb().iter().map(|&value| f32::from(value) / 255.0).collect();
         observed.push(FeatureMap {
             height,
             width,

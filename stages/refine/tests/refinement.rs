@@ -277,7 +277,7 @@ fn records_that_do_not_belong_together_are_refused() {
         })
         .contains("camera poses")
     );
-    example.clip.cameras[1].rgb = None;
+    example.clip.cameras[1].recorded = None;
     assert!(message(example.inputs()).contains("ext1"));
 }
 

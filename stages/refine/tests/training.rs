@@ -72,7 +72,7 @@ fn complete(seed: u64) -> Example {
     right.id = "ext1_right".into();
     right.role = CameraRole::Evaluation;
     right.partner = Some(CameraIndex(1));
-    right.rgb = right.rgb.map(|rgb| rgb.iter().map(|value| 255 - value).collect());
+    right.recorded = right.recorded.map(|rgb| rgb.iter().map(|value| 255 - value).collect());
     example.clip.cameras.push(right);
     for (index, camera) in example.clip.cameras.iter_mut().enumerate() {
         camera.depth = Some(depth(index));

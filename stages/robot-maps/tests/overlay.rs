@@ -101,7 +101,8 @@ fn camera(id: &str, calibration: &Value, images: &[u8]) -> ClipCamera {
         partner: None,
         intrinsics: Pinhole::from_integer_centres(given, W, H).intrinsics,
         mount,
-        rgb: Some(rgb),
+        recorded: Some(rgb),
+        generated: None,
         depth: None,
     }
 }
@@ -150,6 +151,7 @@ fn episode() -> (Clip, Robot, RobotMaps) {
             gripper: FRAMES.iter().map(|&frame| rows[frame][7]).collect(),
         },
         tracks: None,
+        rollout: None,
     };
     let params = Params::default();
     let robot = Robot::load(&urdf, &params).unwrap();
@@ -159,7 +161,7 @@ fn episode() -> (Clip, Robot, RobotMaps) {
 
 fn picture<'a>(clip: &'a Clip, map: &RobotMap) -> &'a [u8] {
     let area = (W * H * 3) as usize;
-    &clip.cameras[map.camera.at()].rgb.as_ref().unwrap()[map.frame.at() * area..(map.frame.at() + 1) * area]
+    &clip.cameras[map.camera.at()].recorded.as_ref().unwrap()[map.frame.at() * area..(map.frame.at() + 1) * area]
 }
 
 /// Displacements of 8 to 12 px in sixteen directions.

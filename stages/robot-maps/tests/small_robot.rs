@@ -65,7 +65,8 @@ fn clip() -> Clip {
             cy: 24.0,
         },
         mount,
-        rgb: None,
+        recorded: None,
+        generated: None,
         depth: None,
     };
     let on_arm = RigidPose {
@@ -115,6 +116,7 @@ fn clip() -> Clip {
             gripper: vec![0.5; FRAMES],
         },
         tracks: None,
+        rollout: None,
     }
 }
 

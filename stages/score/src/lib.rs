@@ -22,4 +22,4 @@ pub mod tables;
 pub mod timing;
 
 pub use outside::FieldFrame;
-pub use stage::{FieldScale, KeepRenders, PredictionParams, Score, ScoreParams, Setting};
+pub use stage::{FieldScale, KeepRenders, PredictionParams, Score, ScoreParams};

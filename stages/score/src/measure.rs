@@ -1,7 +1,7 @@
 //! From predictions of a clip to its numbers. Nothing here knows where the predictions come from: the stage's own
 //! renders and those of outside methods are measured by the same code.
 
-use rogs_schemas::records::clip::{CameraRole, Clip, ClipCamera};
+use rogs_schemas::records::clip::{CameraRole, Clip, ClipCamera, Target};
 use rogs_schemas::records::robot::{RobotMap, RobotMaps};
 use rogs_schemas::records::scores::{ImageScore, RobotDepthScore, TrackScore};
 use rogs_schemas::{CameraIndex, FrameIndex};
@@ -210,9 +210,7 @@ pub fn measure_displacement(
 /// The reference image of a camera at a frame.
 #[must_use]
 pub fn reference_rgb(clip: &Clip, camera: CameraIndex, frame: FrameIndex) -> Option<&[u8]> {
-    let size = clip.height as usize * clip.width as usize * 3;
-    let start = frame.at() * size;
-    clip.cameras.get(camera.at())?.rgb.as_ref()?.get(start..start + size)
+    clip.target(camera, frame).map(Target::rgb)
 }
 
 /// Reference depth of a camera at a frame and its scored range, metres.

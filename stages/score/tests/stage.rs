@@ -5,6 +5,7 @@
 mod support;
 
 use rogs_schemas::FrameIndex;
+use rogs_schemas::records::clip::{CameraRole, Rollout};
 use support::{Bench, HEIGHT, WIDTH, clip};
 
 #[test]
@@ -80,7 +81,7 @@ fn a_refinement_is_scored_after_each_of_its_steps() {
 fn lpips_needs_weights_and_changes_nothing_else() {
     let mut own = clip(true);
     let pattern: Vec<u8> = (0..HEIGHT * WIDTH * 3).map(|k| (k * k % 251) as u8).collect();
-    own.cameras[0].rgb = Some(pattern.repeat(own.frame_count()));
+    own.cameras[0].recorded = Some(pattern.repeat(own.frame_count()));
     let mut bench = Bench::new(&own);
     let none = serde_json::json!({});
     let without = bench.run(&none, "2").1.unwrap();
@@ -121,14 +122,54 @@ fn lpips_needs_weights_and_changes_nothing_else() {
     assert!(event["hint"].as_str().unwrap().contains("VGG16"), "{event}");
 }
 
+/// Generated frames change what is reconstructed, never what it is compared with.
+#[test]
+fn a_rollout_is_compared_with_what_was_recorded() {
+    let recorded = clip(true);
+    let mut rollout = recorded.clone();
+    for camera in rollout
+        .cameras
+        .iter_mut()
+        .filter(|camera| camera.role == CameraRole::Source)
+    {
+        camera.generated = Some(vec![7; rollout.episode_frames.len() * HEIGHT * WIDTH * 3]);
+    }
+    rollout.rollout = Some(Rollout {
+        model: "a world model".into(),
+        layout: "views".into(),
+        frames: [0, 1],
+        first_frame_psnr_db: vec![None; rollout.cameras.len()],
+    });
+    let [recorded, rollout] = [&recorded, &rollout].map(|clip| {
+        let (event, scores, _) = Bench::new(clip).run(&serde_json::json!({}), "2");
+        scores.unwrap_or_else(|| panic!("no scores: {event}")).summary
+    });
+    assert_eq!(
+        (recorded.setting.as_str(), rollout.setting.as_str()),
+        ("recorded", "rollout")
+    );
+    assert!(rollout.images.iter().any(|image| image.psnr.is_some()));
+    assert_eq!(recorded.images, rollout.images);
+    assert_eq!(recorded.tracks, rollout.tracks);
+}
+
+#[test]
+fn a_setting_is_not_a_label() {
+    let labelled = serde_json::json!({"setting": "rollout"});
+    let error = serde_json::from_value::<rogs_score::ScoreParams>(labelled)
+        .unwrap_err()
+        .to_string();
+    assert!(error.contains("unknown field `setting`"), "{error}");
+}
+
 #[test]
 fn without_references_every_score_is_null_and_the_renders_remain() {
     let bench = Bench::new(&clip(false));
-    let (event, scores, _) = bench.run(&serde_json::json!({"method": "mine", "setting": "rollout"}), "1");
+    let (event, scores, _) = bench.run(&serde_json::json!({"method": "mine"}), "1");
     let scores = scores.unwrap_or_else(|| panic!("no scores: {event}"));
     assert_eq!(
         (scores.summary.method.as_str(), scores.summary.setting.as_str()),
-        ("mine", "rollout")
+        ("mine", "recorded")
     );
     assert!(
         scores

@@ -77,6 +77,7 @@ fn make(id: TableId, sheets: &[ScoreSheet], timings: &[ClipTiming], options: Tab
             sheets,
             timings,
             cohort: Some(&COHORT),
+            signals: &[],
         },
         options,
     )
@@ -263,6 +264,7 @@ fn tables_name_the_origin_of_every_reference() {
             sheets,
             timings: &[],
             cohort: None,
+            signals: &[],
         };
         table(id, &input, TableOptions::default()).unwrap()
     };

@@ -220,9 +220,21 @@ impl Episode {
     /// number of threads.
     #[must_use]
     pub fn render_cameras(&self, frame: usize, cameras: &[usize]) -> Vec<View> {
-        let scene = LitScene::new(&self.bodies, &self.poses[frame], &self.lights);
+        self.render_moved(frame, frame, cameras, &|_| Pose::IDENTITY)
+    }
+
+    /// Draws the world of frame `shown` with the sensor noise of another frame, from cameras that have moved in their own
+    /// frames.
+    pub(crate) fn render_moved(
+        &self,
+        shown: usize,
+        frame: usize,
+        cameras: &[usize],
+        moved: &(dyn Fn(usize) -> Pose<Camera, Camera> + Sync),
+    ) -> Vec<View> {
+        let scene = LitScene::new(&self.bodies, &self.poses[shown], &self.lights);
         let view = |&camera: &usize| {
-            let pose = self.base_from_camera(camera, frame);
+            let pose = self.base_from_camera(camera, shown) * moved(camera);
             let lens = &self.cameras[camera].lens;
             let key = (self.seed as u32).wrapping_mul(0x9e37_79b9) ^ ((frame as u32) << 4) ^ camera as u32;
             let size = [lens.height as usize, lens.width as usize];

@@ -34,6 +34,7 @@ mod pointworld;
 mod raycast;
 mod render;
 mod robot;
+mod rollout;
 mod scene;
 mod tracks;
 mod write;
@@ -55,6 +56,7 @@ pub use robot::{
     ARM_JOINT_NAMES, ARM_JOINTS, ARM_LIMITS, FINGER_CLOSED, FLANGE_LINK, ROBOT_SPEC_FILE, ROBOT_URDF_FILE, Robot,
     RobotState, TOOL_Z, gripper_for_gap, pad_gap, write_robot,
 };
+pub use rollout::{Distortions, write_rollout};
 pub use scene::{FIRST_OBJECT_ID, FIRST_SCENERY_ID};
 pub use tracks::EpisodeTracks;
 pub use write::{

@@ -216,7 +216,7 @@ fn create_arrays<T: Scalar>(draft: &Draft, folder: &str, episode: &Episode) -> R
     CAMERA_NAMES.into_iter().zip(&episode.cameras).map(create).collect()
 }
 
-fn png(rgb: &[u8], width: u32, height: u32) -> Result<Vec<u8>> {
+pub(crate) fn png(rgb: &[u8], width: u32, height: u32) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let encoder = PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub);
     encoder.write_image(rgb, width, height, ExtendedColorType::Rgb8)?;

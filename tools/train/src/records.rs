@@ -87,13 +87,14 @@ impl ClipBuilder<'_> {
                     .map(|frame| self.recorded(index, self.frame(frame)).to_rigid())
                     .collect(),
             },
-            rgb: None,
+            recorded: None,
+            generated: None,
             depth: None,
         };
         let cameras = (0..CAMERAS).map(|index| {
             let (rgb, depth_m) = images.next().unwrap_or_default();
             ClipCamera {
-                rgb: Some(rgb),
+                recorded: Some(rgb),
                 depth: Some(DepthReference {
                     depth_m,
                     range_m: DEPTH_RANGE_M,
@@ -125,6 +126,7 @@ impl ClipBuilder<'_> {
                 gripper: states.map(|state| state.gripper).collect(),
             },
             tracks: Some(self.tracks(&sources[0])),
+            rollout: None,
         };
         (clip, sources)
     }

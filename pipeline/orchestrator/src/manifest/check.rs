@@ -2,9 +2,12 @@
 
 use std::collections::BTreeSet;
 
-use super::{Manifest, is_safe_name, parse_size};
+use rogs_schemas::records::clip::{RECORDED, ROLLOUT};
+
+use super::{BOTH, Manifest, Setting, is_safe_name, parse_size};
 use crate::diagnose::{At, Text};
 use crate::error::Result;
+use crate::stage::StageId;
 
 /// What a name may consist of, for messages.
 const CHARACTERS: &str = "use 1 to 128 letters, digits and . _ + -";
@@ -19,11 +22,7 @@ impl Manifest {
             let error = text.error(At::top(), "the manifest names no episodes");
             return Err(error.with_hint("add [[episodes]] with root = \"FOLDER\", or [input] with root = \"FOLDER\""));
         }
-        let setting = self.run.setting.as_deref();
-        if setting.is_some_and(|setting| !["recorded", "rollout"].contains(&setting)) {
-            let at = At::key("run").then("setting");
-            return Err(text.error(at, "`setting` must be `recorded` or `rollout`"));
-        }
+        self.check_settings(text)?;
         let known = ["panda-robotiq-2f85"];
         if let Some(preset) = self.robot.preset.as_deref().filter(|preset| !known.contains(preset)) {
             let at = At::key("robot").then("preset");
@@ -57,6 +56,55 @@ impl Manifest {
         Ok(())
     }
 
+    /// What is reconstructed, and that there is something for it.
+    fn check_settings(&self, text: &Text) -> Result<()> {
+        let at = || At::key("run").then("setting");
+        let setting = self.run.setting.as_deref();
+        if setting.is_some_and(|setting| ![RECORDED, ROLLOUT, BOTH].contains(&setting)) {
+            return Err(text.error(at(), "`setting` must be `recorded`, `rollout` or `both`"));
+        }
+        if self.settings().contains(&Setting::Rollout) && self.rollouts.is_none() {
+            let message = "a rollout needs frames of a world model: recorded images are none";
+            let hint =
+                "name their folder: [rollouts] with root = \"FOLDER\" (docs/rollouts.md), or leave `setting` out";
+            return Err(text.error(at(), message).with_hint(hint));
+        }
+        // One clip is observed in one way; which is told for the run, so that both ways are of the same clips.
+        let ingest = StageId::Ingest.name();
+        let own = [(At::key(ingest), &self.ingest)];
+        let variants = self.variants.iter().enumerate();
+        let variants = variants.map(|(index, own)| (At::key("variants").item(index).then(ingest), &own.ingest));
+        let episodes = self.episodes.iter().enumerate();
+        let episodes = episodes.map(|(index, own)| (At::key("episodes").item(index).then(ingest), &own.ingest));
+        let input = self
+            .input
+            .iter()
+            .map(|own| (At::key("input").then(ingest), &own.ingest));
+        for (at, params) in own.into_iter().chain(variants).chain(episodes).chain(input) {
+            if let Some(name) = ["observations", "rollout"]
+                .into_iter()
+                .find(|name| params.contains_key(*name))
+            {
+                let error = text.error(at.then(name), format!("`{name}` is not set here"));
+                return Err(error.with_hint("it follows from [rollouts] and from `setting` in [run]"));
+            }
+        }
+        for (index, prediction) in self.predictions.iter().enumerate() {
+            let Some(setting) = prediction.setting.as_deref() else {
+                continue;
+            };
+            let known: Vec<&str> = self.settings().iter().map(|setting| setting.name()).collect();
+            if !known.contains(&setting) {
+                let at = At::key("predictions").item(index).then("setting");
+                let message = format!("the run has no setting `{setting}`, it has {}", known.join(", "));
+                return Err(text
+                    .error(at, message)
+                    .with_hint("add [rollouts] for predictions made from a rollout"));
+            }
+        }
+        Ok(())
+    }
+
     /// Names of variants, predictions and clips.
     fn check_names(&self, text: &Text) -> Result<()> {
         let mut taken = BTreeSet::from(["main".to_owned()]);
@@ -75,7 +123,7 @@ impl Manifest {
             if !is_safe_name(name) {
                 return Err(text.error(at, format!("invalid predictions name `{name}`: {CHARACTERS}")));
             }
-            if !taken.insert(name.to_lowercase()) {
+            if !taken.insert((name.to_lowercase(), prediction.setting.as_deref())) {
                 return Err(text.error(at, format!("two predictions are named `{name}`")));
             }
         }

@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 pub use rogs_schemas::ids::{is_safe_name, safe_name};
+use rogs_schemas::records::clip::{RECORDED, ROLLOUT};
 use rogs_schemas::records::robot::RobotSpec;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -42,6 +43,9 @@ pub struct Manifest {
     /// Latents of a video tokenizer, for runs and variants whose `lift` has `tokens = "latents"`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub latents: Option<Latents>,
+    /// Rollouts of the clips: frames of a world model to reconstruct instead of the recorded ones.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rollouts: Option<Rollouts>,
     /// Parameters of `ingest`.
     #[serde(default)]
     pub ingest: Params,
@@ -89,7 +93,8 @@ pub struct Run {
     /// The last stages to run; default: all. Stages that these need are added.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub stages: Vec<StageId>,
-    /// `recorded` or `rollout`: where the images come from, for the score tables.
+    /// What is reconstructed: `recorded` images, the `rollout` of [rollouts], or `both`, each with scores of its own against
+    /// the same recorded references. Default: both where there is [rollouts].
     #[serde(default)]
     pub setting: Option<String>,
 }
@@ -210,6 +215,39 @@ pub struct Latents {
     pub root: PathBuf,
 }
 
+/// Rollouts of a world model, one video or folder a clip. `docs/rollouts.md` says what may lie in it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Rollouts {
+    /// The folder that holds a video or a folder for every clip, named by the clip's id or its episode's, or Ctrl-World
+    /// replays as they are written. A clip without one fails in its rollout; everything recorded is made.
+    pub root: PathBuf,
+    /// The world model, in words for reports.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model: Option<String>,
+    /// Where the views are: `composite` (Cosmos 3), `views`, `ctrl-world`. Default: told by the files.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub layout: Option<String>,
+    /// Frame of the files that shows clip frame 0. Default 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub first_frame: Option<u32>,
+    /// Frames that every file has. Default: those that the clip needs and no more.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frames: Option<u32>,
+    /// Frames per second of the files, where their headers do not say or are wrong.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fps: Option<f64>,
+    /// Of padded composites: target height and width, content height and width. Default: told from the frames.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub image_size: Option<[u32; 4]>,
+    /// The first generated frame must be this close to the first recorded one, dB of PSNR. Default 20.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub min_first_frame_psnr_db: Option<f64>,
+    /// The folder that holds `CLIP.safetensors` with the latents of every rollout, where `lift` has `tokens = "latents"`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub latents: Option<PathBuf>,
+}
+
 /// What a variant does differently. Parameters are laid over those of the run, name by name.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
@@ -251,6 +289,9 @@ pub struct Prediction {
     /// Frame of its fields: `base` (default) or `camera`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<String>,
+    /// What they were made from: `recorded` or `rollout` observations. Default: the first that the run has.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub setting: Option<String>,
     /// How its lengths become metres: `none` (default) or `source-depth`, one factor per camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scale: Option<String>,
@@ -379,6 +420,60 @@ impl Prediction {
             .into_iter()
             .filter_map(|(name, value)| Some((name.to_owned(), value.clone()?.into())));
         given.collect()
+    }
+}
+
+impl Rollouts {
+    /// How its files lie, as the stage that reads them takes it.
+    pub(crate) fn options(&self) -> Params {
+        let given: [(&str, Option<Value>); 7] = [
+            ("model", self.model.clone().map(Value::from)),
+            ("layout", self.layout.clone().map(Value::from)),
+            ("first_frame", self.first_frame.map(Value::from)),
+            ("frames", self.frames.map(Value::from)),
+            ("fps", self.fps.map(Value::from)),
+            ("image_size", self.image_size.map(|size| Value::from(size.to_vec()))),
+            ("min_first_frame_psnr_db", self.min_first_frame_psnr_db.map(Value::from)),
+        ];
+        let given = given
+            .into_iter()
+            .filter_map(|(name, value)| Some((name.to_owned(), value?)));
+        given.collect()
+    }
+}
+
+/// What a run reconstructs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Setting {
+    /// Recorded images.
+    Recorded,
+    /// Frames of a world model.
+    Rollout,
+}
+
+impl Setting {
+    /// Its name in manifests, parameters and score sheets.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Recorded => RECORDED,
+            Self::Rollout => ROLLOUT,
+        }
+    }
+}
+
+/// [`Run::setting`] for a run of both settings.
+const BOTH: &str = "both";
+
+impl Manifest {
+    /// What the run reconstructs, each with outputs and scores of its own; at least one.
+    pub(crate) fn settings(&self) -> &'static [Setting] {
+        match self.run.setting.as_deref() {
+            Some(RECORDED) => &[Setting::Recorded],
+            Some(ROLLOUT) => &[Setting::Rollout],
+            Some(_) => &[Setting::Recorded, Setting::Rollout],
+            None if self.rollouts.is_some() => &[Setting::Recorded, Setting::Rollout],
+            None => &[Setting::Recorded],
+        }
     }
 }
 

@@ -90,6 +90,10 @@ impl Manifest {
             .iter_mut()
             .for_each(|prediction| fix(&mut prediction.root));
         self.latents.iter_mut().for_each(|latents| fix(&mut latents.root));
+        if let Some(rollouts) = &mut self.rollouts {
+            fix(&mut rollouts.root);
+            fix_some(&mut rollouts.latents);
+        }
         let weights =
             std::iter::once(&mut self.weights).chain(self.variants.iter_mut().map(|variant| &mut variant.weights));
         for weights in weights {

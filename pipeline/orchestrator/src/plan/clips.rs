@@ -12,6 +12,7 @@ use serde_json::Map;
 
 use super::model::{Plan, PlannedClip, PlannedSource, latents_file};
 use super::params::normalise_overrides;
+use super::rollouts::RolloutFolder;
 use super::selection::read_selection;
 use crate::diagnose::{At, Text};
 use crate::error::Result;
@@ -108,6 +109,7 @@ pub(super) fn add_clips(
         programs,
         known: HashMap::new(),
     };
+    let rollouts = plan.rollouts.as_deref().map(RolloutFolder::read).transpose()?;
     let (mut roots, mut calibrations) = (HashMap::new(), HashMap::new());
     for (((asked, id), content), ingest) in asked.iter().zip(ids).zip(contents).zip(normalised) {
         let calibration = match asked.calibration {
@@ -128,8 +130,18 @@ pub(super) fn add_clips(
         let predictions = predictions(plan, &id, sources)?;
         let latents = plan.latents.as_ref().map(|root| latents_file(root, &id));
         let latents = latents.filter(|file| file.is_file());
+        let rollout = match &rollouts {
+            Some(folder) => folder.of(&id, &asked.listed.episode_id, text, sources)?,
+            None => None,
+        };
+        let own = plan.rollout_latents.as_ref().map(|root| latents_file(root, &id));
+        let rollout_latents = own.filter(|file| file.is_file());
         let clip = PlannedClip {
             predictions,
+            rollout,
+            rollout_latents: rollout_latents
+                .map(|file| sources.source("latents", &file))
+                .transpose()?,
             latents: latents.map(|file| sources.source("latents", &file)).transpose()?,
             id,
             episode: asked.listed.episode_id.clone(),

@@ -17,12 +17,21 @@ pub fn make_plan(manifest: &Manifest, text: &Text, programs: &StagePrograms, sou
     let nodes = make_nodes(manifest, text, programs, sources)?;
     let reads_latents = |node: &Node| node.inputs.iter().any(|input| input.from == InputSource::Latents);
     let latents = manifest.latents.as_ref().filter(|_| nodes.iter().any(reads_latents));
+    let reads = |from: InputSource| {
+        nodes
+            .iter()
+            .flat_map(|node| &node.inputs)
+            .any(|input| input.from == from)
+    };
+    let rollouts = manifest.rollouts.as_ref().filter(|_| reads(InputSource::Rollout));
+    let rollout_latents = rollouts.filter(|_| reads(InputSource::RolloutLatents));
+    let settings: Vec<&str> = manifest.settings().iter().map(|setting| setting.name()).collect();
     let mut plan = Plan {
         format: PLAN_FORMAT.to_owned(),
         name: manifest.run.name.clone(),
         run: manifest.run.out.clone(),
         manifest: text.path.clone(),
-        setting: manifest.run.setting.clone().unwrap_or_else(|| "recorded".to_owned()),
+        setting: settings.join(", "),
         variants: std::iter::once("main")
             .chain(manifest.variants.iter().map(|variant| variant.name.as_str()))
             .map(String::from)
@@ -32,6 +41,8 @@ pub fn make_plan(manifest: &Manifest, text: &Text, programs: &StagePrograms, sou
         calibrations: Vec::new(),
         predictions: manifest.predictions.iter().map(|own| own.root.clone()).collect(),
         latents: latents.map(|latents| latents.root.clone()),
+        rollouts: rollouts.map(|rollouts| rollouts.root.clone()),
+        rollout_latents: rollout_latents.and_then(|rollouts| rollouts.latents.clone()),
         clips: Vec::new(),
         nodes,
     };

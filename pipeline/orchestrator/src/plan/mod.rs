@@ -11,11 +11,14 @@ mod make;
 mod model;
 mod nodes;
 mod params;
+mod rollouts;
 mod selection;
 mod units;
 
 pub use file::{PLAN_FILE, read_header, read_plan};
 pub use intervals::ClipInterval;
 pub use make::make_plan;
-pub use model::{InputSource, Node, NodeInput, PLAN_FORMAT, Plan, PlanSelection, PlannedClip, PlannedSource, WorkUnit};
+pub use model::{
+    InputSource, Node, NodeInput, PLAN_FORMAT, Plan, PlanSelection, PlannedClip, PlannedSource, RolloutFile, WorkUnit,
+};
 pub use units::{KeyMaker, UnitKey};

@@ -24,7 +24,7 @@ pub struct Plan {
     pub run: PathBuf,
     /// The manifest it was made from.
     pub manifest: PathBuf,
-    /// `recorded` or `rollout`.
+    /// What is reconstructed: `recorded`, `rollout` or `recorded, rollout`.
     pub setting: String,
     /// Names of the variants; the first is `main`.
     pub variants: Vec<String>,
@@ -43,6 +43,12 @@ pub struct Plan {
     /// Folder with the latents of the clips.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub latents: Option<PathBuf>,
+    /// Folder with the rollouts of the clips.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rollouts: Option<PathBuf>,
+    /// Folder with the latents of the rollouts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rollout_latents: Option<PathBuf>,
     /// The clips, in the order of the manifest. One line each in the file.
     #[serde(skip)]
     pub clips: Vec<PlannedClip>,
@@ -108,6 +114,10 @@ pub enum InputSource {
     Prediction(u32),
     /// The clip's file in [`Plan::latents`], where it has one.
     Latents,
+    /// The clip's video or folder in [`Plan::rollouts`], where it has one.
+    Rollout,
+    /// The clip's file in [`Plan::rollout_latents`], where it has one.
+    RolloutLatents,
     /// The output of another node, an index into [`Plan::nodes`].
     Node(usize),
     /// The same source for all clips.
@@ -151,9 +161,24 @@ pub struct PlannedClip {
     /// Content of the clip's file in [`Plan::latents`], where it has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub latents: Option<ContentHash>,
+    /// The clip's video or folder in [`Plan::rollouts`], where it has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rollout: Option<RolloutFile>,
+    /// Content of the clip's file in [`Plan::rollout_latents`], where it has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rollout_latents: Option<ContentHash>,
     /// Parameters of ingest for this clip, normalised, laid over the node's.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub ingest: Map<String, Value>,
+}
+
+/// A clip's rollout.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RolloutFile {
+    /// Its name in [`Plan::rollouts`].
+    pub name: String,
+    /// What is in it.
+    pub content: ContentHash,
 }
 
 impl PlannedClip {

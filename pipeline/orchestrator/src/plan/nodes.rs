@@ -12,7 +12,7 @@ use serde_json::{Map, Value};
 use super::model::{InputSource, Node, NodeInput, PlannedSource};
 use crate::diagnose::{At, Text};
 use crate::error::{Error, Result};
-use crate::manifest::{Manifest, Params, Prediction, Variant};
+use crate::manifest::{Manifest, Params, Prediction, Setting, Variant};
 use crate::programs::StagePrograms;
 use crate::sources::SourceCache;
 use crate::stage::{Filled, OUTSIDE, Output, Outside, Provider, StageId, WeightsRole};
@@ -37,12 +37,35 @@ pub(super) fn make_nodes(
         nodes: Vec::new(),
     };
     builder.check_names()?;
-    let main = builder.add_variant(Column::Main)?;
-    for (index, variant) in manifest.variants.iter().enumerate() {
-        builder.add_variant(Column::Variant(index, variant))?;
+    let variants = manifest.variants.iter().enumerate();
+    let columns: Vec<Column<'_>> = std::iter::once(Column::Main)
+        .chain(variants.map(|(index, variant)| Column::Variant(index, variant)))
+        .collect();
+    // What each column made of the setting before: a rollout shares what does not depend on the observations.
+    let mut made: Vec<Option<Made>> = vec![None; columns.len()];
+    let mut mains = Vec::new();
+    for (number, &setting) in manifest.settings().iter().enumerate() {
+        for (column, made) in columns.iter().zip(&mut made) {
+            let chain = Chain {
+                column: *column,
+                setting,
+                beside: number > 0,
+            };
+            *made = Some(builder.add_chain(chain, made.as_ref())?);
+        }
+        mains.extend(made[0].clone().map(|main| (setting, number > 0, main)));
     }
     for (index, method) in manifest.predictions.iter().enumerate() {
-        builder.add_outside(index, method, &main)?;
+        let asked = method.setting.as_deref();
+        let fits = |(setting, ..): &&(Setting, bool, Made)| asked.is_none_or(|asked| asked == setting.name());
+        if let Some((setting, beside, main)) = mains.iter().find(fits) {
+            let chain = Chain {
+                column: Column::Outside(index, method),
+                setting: *setting,
+                beside: *beside,
+            };
+            builder.add_outside(chain, method, main)?;
+        }
     }
     Ok(builder.nodes)
 }
@@ -59,6 +82,29 @@ enum Column<'a> {
     Variant(usize, &'a Variant),
     /// One of `[[predictions]]`, by its index.
     Outside(usize, &'a Prediction),
+}
+
+/// The nodes of a column that reconstruct the same kind of observations.
+#[derive(Clone, Copy)]
+struct Chain<'a> {
+    column: Column<'a>,
+    setting: Setting,
+    /// Beside the nodes of another setting, from which its labels and folders must differ.
+    beside: bool,
+}
+
+impl<'a> Chain<'a> {
+    /// Where the manifest says something about it and a stage.
+    fn at(self, stage: StageId) -> At<'a> {
+        self.column.at(stage)
+    }
+
+    /// A stage's output in messages: `lift`, `lift@VARIANT`, `lift@rollout`, `lift@rollout@VARIANT`.
+    fn label(self, output: &str) -> String {
+        let setting = self.beside.then(|| self.setting.name());
+        let parts = [Some(output), setting, self.column.name()];
+        parts.into_iter().flatten().collect::<Vec<_>>().join("@")
+    }
 }
 
 impl<'a> Column<'a> {
@@ -163,16 +209,22 @@ impl<'a> Builder<'a> {
         Ok(())
     }
 
-    /// Adds the nodes of the run or of a variant; says which node makes the output of each stage.
-    fn add_variant(&mut self, column: Column<'a>) -> Result<Made> {
+    /// Adds the nodes of the run or of a variant; says which node makes the output of each stage. `shared` are those of
+    /// the same column with other observations.
+    fn add_chain(&mut self, chain: Chain<'a>, shared: Option<&Made>) -> Result<Made> {
         let mut made = Made::new();
         for stage in self.wanted.clone() {
-            for output in outputs(stage, column, &made) {
+            let shared = shared.filter(|_| stage.spec().blind);
+            if let Some(&node) = shared.and_then(|shared| shared.get(&stage)) {
+                made.insert(stage, node);
+                continue;
+            }
+            for output in outputs(stage, chain.column, &made) {
                 let mut params = Value::Object(self.manifest.params(stage).clone());
-                if let Column::Variant(_, variant) = column {
+                if let Column::Variant(_, variant) = chain.column {
                     overlay(&mut params, &Value::Object(variant.params(stage).clone()));
                 }
-                let node = self.node(stage, output, column, params, &made)?;
+                let node = self.node(stage, output, chain, params, &made)?;
                 let node = self.add(node);
                 made.insert(stage, node);
             }
@@ -181,22 +233,24 @@ impl<'a> Builder<'a> {
     }
 
     /// Adds the node that scores an outside method.
-    fn add_outside(&mut self, index: usize, method: &'a Prediction, main: &Made) -> Result<()> {
+    fn add_outside(&mut self, chain: Chain<'a>, method: &'a Prediction, main: &Made) -> Result<()> {
+        let Outside { stage, output, options } = &OUTSIDE;
+        let stage = *stage;
         if !method.root.is_dir() {
             let message = format!("`{}` is not a folder", method.root.display());
-            let error = self
-                .text
-                .error(At::key("predictions").item(index).then("root"), message);
+            let at = match chain.column {
+                Column::Outside(index, _) => At::key("predictions").item(index).then("root"),
+                Column::Main | Column::Variant(..) => At::key("predictions"),
+            };
+            let error = self.text.error(at, message);
             return Err(error.with_hint("it holds one folder a clip, named by the clip's id (`rogs status RUN`)"));
         }
-        let Outside { stage, output, options } = &OUTSIDE;
-        let (stage, column) = (*stage, Column::Outside(index, method));
         let defaults = self.defaults(stage)?;
-        self.check_table(column.at(stage), &method.score, &defaults)?;
+        self.check_table(chain.at(stage), &method.score, &defaults)?;
         let mut params = Value::Object(self.manifest.params(stage).clone());
         overlay(&mut params, &Value::Object(method.score.clone()));
         overlay(&mut params, &serde_json::json!({ *options: method.options() }));
-        let node = self.node(stage, output, column, params, main)?;
+        let node = self.node(stage, output, chain, params, main)?;
         self.nodes.push(node);
         Ok(())
     }
@@ -227,35 +281,34 @@ impl<'a> Builder<'a> {
         &mut self,
         stage: StageId,
         output: &Output,
-        column: Column<'a>,
+        chain: Chain<'a>,
         mut params: Value,
         made: &Made,
     ) -> Result<Node> {
         let defaults = self.defaults(stage)?;
-        self.fill_in(stage, &mut params, &defaults, &column.rows(output));
+        self.fill_in(stage, &mut params, &defaults, chain, output);
         let description = self
             .describe(stage, &params)
-            .map_err(|error| self.placed(error, column, stage))?;
+            .map_err(|error| self.placed(error, chain.column, stage))?;
         let mut inputs = Vec::new();
         for input in &description.inputs {
-            if let Some(from) = self.input(stage, output, column, input, &description.default_params, made)? {
+            if let Some(from) = self.input(stage, output, chain, input, &description.default_params, made)? {
                 inputs.push(NodeInput {
                     role: input.role.clone(),
                     from,
                 });
             }
         }
-        let label = output.label;
         Ok(Node {
-            label: column.name().map_or(label.to_owned(), |name| format!("{label}@{name}")),
+            label: chain.label(output.label),
             stage,
             stage_version: description.stage_version,
             schema: description.output_schema,
             params: description.default_params,
             file: output.file.to_owned(),
-            by_key: column.name().is_some(),
+            by_key: chain.beside || chain.column.name().is_some(),
             inputs,
-            variants: vec![match column {
+            variants: vec![match chain.column {
                 Column::Variant(index, _) => index + 1,
                 Column::Main | Column::Outside(..) => 0,
             }],
@@ -279,7 +332,7 @@ impl<'a> Builder<'a> {
     }
 
     /// Parameters that the manifest says in other places than the stage's own table.
-    fn fill_in(&self, stage: StageId, params: &mut Value, defaults: &Value, rows: &str) {
+    fn fill_in(&self, stage: StageId, params: &mut Value, defaults: &Value, chain: Chain<'_>, output: &Output) {
         let (Value::Object(params), Value::Object(defaults)) = (params, defaults) else {
             return;
         };
@@ -289,8 +342,13 @@ impl<'a> Builder<'a> {
             }
             let value = match filled {
                 Filled::RobotSpec => (self.manifest.robot_spec().ok()).and_then(|spec| serde_json::to_value(spec).ok()),
-                Filled::Method => Some(Value::String(rows.to_owned())),
-                Filled::Setting => self.manifest.run.setting.clone().map(Value::String),
+                Filled::Method => Some(Value::String(chain.column.rows(output))),
+                Filled::Observations => Some(Value::from(chain.setting.name())),
+                Filled::Rollout => {
+                    let rollouts = self.manifest.rollouts.as_ref();
+                    let rollouts = rollouts.filter(|_| chain.setting == Setting::Rollout);
+                    rollouts.map(|rollouts| Value::Object(rollouts.options()))
+                }
             };
             if let Some(value) = value {
                 params.insert(name.to_owned(), value);
@@ -303,7 +361,7 @@ impl<'a> Builder<'a> {
         &self,
         stage: StageId,
         output: &Output,
-        column: Column<'_>,
+        chain: Chain<'_>,
         input: &InputDescription,
         params: &Value,
         made: &Made,
@@ -328,12 +386,13 @@ impl<'a> Builder<'a> {
                 let urdf = &self.manifest.robot.urdf;
                 Some(self.source(role, urdf, At::key("robot").then("urdf"))?)
             }
-            Some(Provider::Latents) => self.latents()?,
-            Some(Provider::Predictions) => match column {
+            Some(Provider::Latents) => self.latents(chain.setting)?,
+            Some(Provider::Rollout) => self.rollouts()?,
+            Some(Provider::Predictions) => match chain.column {
                 Column::Outside(index, _) => Some(InputSource::Prediction(index as u32)),
                 Column::Main | Column::Variant(..) => None,
             },
-            Some(Provider::Weights(of)) => self.weights(role, of, column)?,
+            Some(Provider::Weights(of)) => self.weights(role, of, chain.column)?,
             Some(Provider::Stage(producer)) => made.get(&producer).map(|&node| InputSource::Node(node)),
         };
         if from.is_some() {
@@ -341,10 +400,10 @@ impl<'a> Builder<'a> {
         }
         if let Some(when) = when {
             let message = format!("`{} = \"{}\"` needs {}", when.param, when.is, when.needs);
-            return Err(self.text.error(column.at(stage), message).with_hint(when.hint));
+            return Err(self.text.error(chain.at(stage), message).with_hint(when.hint));
         }
         if input.required {
-            let message = match column {
+            let message = match chain.column {
                 Column::Outside(..) => format!("predictions need the stage that makes `{role}`"),
                 Column::Main | Column::Variant(..) => {
                     format!("nothing provides the input `{role}` of stage `{stage}`")
@@ -354,7 +413,7 @@ impl<'a> Builder<'a> {
                 Some(Provider::Stage(producer)) => format!("add `{producer}` to `stages` in [run]"),
                 _ => "do the stage programs belong to this program?".to_owned(),
             };
-            return Err(self.text.error(column.at(stage), message).with_hint(hint));
+            return Err(self.text.error(chain.at(stage), message).with_hint(hint));
         }
         Ok(None)
     }
@@ -383,17 +442,48 @@ impl<'a> Builder<'a> {
             .transpose()
     }
 
-    /// The clips' latents, where the manifest names a folder of them.
-    fn latents(&self) -> Result<Option<InputSource>> {
-        let Some(latents) = &self.manifest.latents else {
-            return Ok(None);
+    /// The clips' latents, where the manifest names a folder of them: of the recordings, or of the rollouts.
+    fn latents(&self, setting: Setting) -> Result<Option<InputSource>> {
+        let (from, root, at) = match setting {
+            Setting::Recorded => {
+                let root = self.manifest.latents.as_ref().map(|latents| &latents.root);
+                (InputSource::Latents, root, At::key("latents").then("root"))
+            }
+            Setting::Rollout => {
+                let at = At::key("rollouts").then("latents");
+                let root = self
+                    .manifest
+                    .rollouts
+                    .as_ref()
+                    .and_then(|rollouts| rollouts.latents.as_ref());
+                if root.is_none() {
+                    let message = "`tokens = \"latents\"` needs the latents of the rollouts";
+                    let hint = "name their folder: latents = \"FOLDER\" under [rollouts] (docs/rollouts.md)";
+                    return Err(self.text.error(At::key("rollouts"), message).with_hint(hint));
+                }
+                (InputSource::RolloutLatents, root, at)
+            }
         };
-        if !latents.root.is_dir() {
-            let message = format!("`{}` is not a folder", latents.root.display());
-            let error = self.text.error(At::key("latents").then("root"), message);
+        let Some(root) = root else { return Ok(None) };
+        if !root.is_dir() {
+            let error = self.text.error(at, format!("`{}` is not a folder", root.display()));
             return Err(error.with_hint("it holds CLIP.safetensors for every clip, named by the clip's id"));
         }
-        Ok(Some(InputSource::Latents))
+        Ok(Some(from))
+    }
+
+    /// The clips' rollouts, where the manifest names a folder of them.
+    fn rollouts(&self) -> Result<Option<InputSource>> {
+        let Some(rollouts) = &self.manifest.rollouts else {
+            return Ok(None);
+        };
+        if !rollouts.root.is_dir() {
+            let message = format!("`{}` is not a folder", rollouts.root.display());
+            let error = self.text.error(At::key("rollouts").then("root"), message);
+            return Err(error
+                .with_hint("it holds a video or a folder for every clip, named by the clip's id (docs/rollouts.md)"));
+        }
+        Ok(Some(InputSource::Rollout))
     }
 
     fn source(&self, role: &str, path: &Path, at: At<'_>) -> Result<InputSource> {

@@ -61,6 +61,14 @@ impl Plan {
                 let root = self.latents.as_ref().filter(|_| clip.latents.is_some());
                 root.map(|root| latents_file(root, &clip.id))
             }
+            InputSource::Rollout => {
+                let root = self.rollouts.as_ref()?;
+                clip.rollout.as_ref().map(|rollout| root.join(&rollout.name))
+            }
+            InputSource::RolloutLatents => {
+                let root = self.rollout_latents.as_ref().filter(|_| clip.rollout_latents.is_some());
+                root.map(|root| latents_file(root, &clip.id))
+            }
             InputSource::Node(node) => Some(self.run.join(self.output(WorkUnit { node: *node, ..unit }, keys))),
             InputSource::Source(source) => Some(source.path.clone()),
         };
@@ -123,6 +131,8 @@ impl KeyMaker<'_> {
                     .get(&input.role)
                     .map(|source| source.content.to_string()),
                 InputSource::Latents => source.latents.map(|content| content.to_string()),
+                InputSource::Rollout => source.rollout.as_ref().map(|rollout| rollout.content.to_string()),
+                InputSource::RolloutLatents => source.rollout_latents.map(|content| content.to_string()),
                 // Nodes are ordered, so the upstream key is there already.
                 InputSource::Node(node) => Some(keys[*node].key.to_string()),
                 InputSource::Source(source) => Some(source.content.to_string()),

@@ -1,7 +1,9 @@
 //! How a clip lies in its container.
 
 use rogs_schemas::records::check::{area, count, product};
-use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Tracks};
+use rogs_schemas::records::clip::{
+    CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Rollout, Tracks,
+};
 use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::{CameraIndex, ClipId, EpisodeFrame, FrameIndex, Intrinsics, SchemaId};
 use serde::{Deserialize, Serialize};
@@ -12,7 +14,7 @@ use crate::record::Record;
 use crate::stream::{Codec, Dtype, Frame, StreamSpec, Unit};
 use crate::writer::Writer;
 
-/// Images, one chunk per (camera, frame).
+/// Recorded images, one chunk per (camera, frame).
 const RGB: StreamSpec = StreamSpec {
     name: "rgb",
     dtype: Dtype::U8,
@@ -21,6 +23,13 @@ const RGB: StreamSpec = StreamSpec {
     codec: Codec::Zstd,
     fill: "",
 };
+/// Generated images of the source cameras, one chunk per (camera, frame); in rollouts only.
+const GENERATED: StreamSpec = StreamSpec {
+    name: "generated_rgb",
+    ..RGB
+};
+/// Head of what a rollout has more; in rollouts only.
+const ROLLOUT_HEAD: &str = "rollout";
 /// Reference depth, one chunk per (camera, frame).
 const DEPTH: StreamSpec = StreamSpec {
     name: "depth_m",
@@ -115,7 +124,7 @@ impl Record for Clip {
     const SCHEMA: SchemaId = SchemaId {
         name: "rogs.clip",
         major: 1,
-        minor: 1,
+        minor: 2,
     };
 
     fn encode(&self, writer: &mut Writer) -> Result<()> {
@@ -126,7 +135,7 @@ impl Record for Clip {
             partner: camera.partner,
             intrinsics: camera.intrinsics,
             mount: camera.mount.clone(),
-            has_rgb: camera.rgb.is_some(),
+            has_rgb: camera.recorded.is_some(),
             depth_range_m: camera.depth.as_ref().map(|depth| depth.range_m),
         };
         let tracks = |tracks: &Tracks| TracksHead {
@@ -157,16 +166,15 @@ impl Record for Clip {
             tracks: self.tracks.as_ref().map(|tracks| tracks.origin.to_string()),
         };
         writer.value(ORIGINS, &origins)?;
+        if let Some(rollout) = &self.rollout {
+            writer.value(ROLLOUT_HEAD, rollout)?;
+        }
         let area = self.height as usize * self.width as usize;
-        let mut images = Vec::new();
-        let mut depths = Vec::new();
+        let (mut images, mut generated, mut depths) = (Vec::new(), Vec::new(), Vec::new());
         for (index, camera) in self.cameras.iter().enumerate() {
-            if let Some(rgb) = &camera.rgb {
-                images.extend(
-                    rgb.chunks_exact(3 * area)
-                        .enumerate()
-                        .map(|(f, image)| ([index as u32, f as u32, 0, 0], image)),
-                );
+            for (rgb, chunks) in [(&camera.recorded, &mut images), (&camera.generated, &mut generated)] {
+                let frames = rgb.iter().flat_map(|rgb| rgb.chunks_exact(3 * area).enumerate());
+                chunks.extend(frames.map(|(f, image)| ([index as u32, f as u32, 0, 0], image)));
             }
             if let Some(depth) = &camera.depth {
                 let maps = depth.depth_m.chunks_exact(area).enumerate();
@@ -174,6 +182,9 @@ impl Record for Clip {
             }
         }
         writer.stream(&RGB, &[self.height, self.width, 3], &images)?;
+        if self.rollout.is_some() {
+            writer.stream(&GENERATED, &[self.height, self.width, 3], &generated)?;
+        }
         writer.stream(&DEPTH, &[self.height, self.width], &depths)?;
         let Some(tracks) = &self.tracks else { return Ok(()) };
         let frames = self.frame_count() as u32;
@@ -190,6 +201,7 @@ impl Record for Clip {
         let area = area(head.height, head.width).map_err(wrong)?;
         let frames = head.episode_frames.len();
         let mut rgb = reader.stream::<u8>(&RGB, &[head.height, head.width, 3])?;
+        let (rollout, mut generated) = read_rollout(reader, &head)?;
         let mut depth = reader.stream::<f32>(&DEPTH, &[head.height, head.width])?;
         let mut origins = if reader.has(ORIGINS) {
             reader.value::<Origins>(ORIGINS)?
@@ -201,9 +213,13 @@ impl Record for Clip {
         let depth_length = product("depth", &[frames, area]).map_err(wrong)?;
         let mut cameras = Vec::with_capacity(head.cameras.len());
         for camera in head.cameras.into_iter().rev() {
-            let rgb = camera
+            let recorded = camera
                 .has_rgb
                 .then(|| take_back(&mut rgb, rgb_length, "rgb"))
+                .transpose()
+                .map_err(wrong)?;
+            let generated = (rollout.is_some() && camera.role == CameraRole::Source)
+                .then(|| take_back(&mut generated, rgb_length, "generated_rgb"))
                 .transpose()
                 .map_err(wrong)?;
             let depth = match camera.depth_range_m {
@@ -232,12 +248,14 @@ impl Record for Clip {
                 partner,
                 intrinsics,
                 mount,
-                rgb,
+                recorded,
+                generated,
                 depth,
             });
         }
         cameras.reverse();
         count("rgb beyond its cameras", rgb.len(), 0).map_err(wrong)?;
+        count("generated rgb beyond its cameras", generated.len(), 0).map_err(wrong)?;
         count("depth beyond its cameras", depth.len(), 0).map_err(wrong)?;
         count("origins beyond the depth", origins.depth.len(), 0).map_err(wrong)?;
         let tracks = match head.tracks {
@@ -272,6 +290,7 @@ impl Record for Clip {
             cameras,
             robot: head.robot,
             tracks,
+            rollout,
         };
         clip.check().map_err(wrong)?;
         Ok(clip)
@@ -281,6 +300,16 @@ impl Record for Clip {
 /// The origin of this name; not stated where there is none.
 fn origin(name: Option<String>) -> std::result::Result<ReferenceOrigin, String> {
     name.map_or(Ok(ReferenceOrigin::NotStated), |name| name.parse())
+}
+
+/// What a rollout has more, and its images; nothing of a recorded clip.
+fn read_rollout(reader: &Reader, head: &Head) -> Result<(Option<Rollout>, Vec<u8>)> {
+    if !reader.has(ROLLOUT_HEAD) {
+        return Ok((None, Vec::new()));
+    }
+    let rollout = reader.value(ROLLOUT_HEAD)?;
+    let generated = reader.stream::<u8>(&GENERATED, &[head.height, head.width, 3])?;
+    Ok((Some(rollout), generated))
 }
 
 fn take_back<T>(values: &mut Vec<T>, length: usize, what: &str) -> std::result::Result<Vec<T>, String> {

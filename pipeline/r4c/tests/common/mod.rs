@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use rogs_schemas::records::clip::{
-    CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, SourceView, Tracks,
+    CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Rollout, SourceView, Tracks,
 };
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::field::{Field, NamedArray, RAW_CHANNELS, TimeSlice, WeightsInfo};
@@ -109,7 +109,8 @@ pub(crate) fn clip() -> Clip {
         partner,
         intrinsics,
         mount,
-        rgb,
+        recorded: rgb,
+        generated: None,
         depth,
     };
     let rgb = |seed| Some(small_bytes(seed, FRAMES * AREA * 3, 256.0));
@@ -172,7 +173,23 @@ pub(crate) fn clip() -> Clip {
             visible: vec![1, 1, 0, 1, 0, 0],
             origin: ReferenceOrigin::Kinematics,
         }),
+        rollout: None,
     }
+}
+
+/// The clip with observations of a world model.
+pub(crate) fn rollout_clip() -> Clip {
+    let mut clip = clip();
+    for (seed, camera) in [5, 6].into_iter().zip(&mut clip.cameras) {
+        camera.generated = Some(small_bytes(seed, FRAMES * AREA * 3, 256.0));
+    }
+    clip.rollout = Some(Rollout {
+        model: "a world model".into(),
+        layout: "composite".into(),
+        frames: [0, 1],
+        first_frame_psnr_db: vec![Some(31.25), Some(28.5), None],
+    });
+    clip
 }
 
 pub(crate) fn robot() -> RobotMaps {

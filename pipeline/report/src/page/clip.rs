@@ -6,16 +6,17 @@ use maud::{Markup, html};
 use rogs_r4c::{Record, read_record};
 use rogs_schemas::ledger::{Attempt, Failure};
 use rogs_schemas::protocol::FailureCode;
-use rogs_schemas::records::clip::{CameraMount, Clip, ClipCamera};
+use rogs_schemas::records::clip::{CameraMount, Clip, ClipCamera, Rollout};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
 use rogs_schemas::{EpisodeFrame, FrameIndex};
 use rogs_score::origins;
 use rogs_score::summary::ImageMetric::{AbsRel, Delta1, Lpips, Psnr, Rmse, Ssim};
 use rogs_score::summary::{ImageMetric, Metric, clip_value};
+use rogs_score::tables::heading;
 
 use super::failure::failure;
-use crate::pictures::{self, Comparison, FULL_ERROR, Figure};
+use crate::pictures::{self, Comparison, Figure};
 use crate::results::ClipResults;
 
 /// The section of a clip, unfolded when `open`, with pictures when `with_pictures`.
@@ -42,29 +43,44 @@ pub(super) fn section(clip: &ClipResults, open: bool, with_pictures: bool) -> Ma
 /// What is in the files of a clip. Those that cannot be read are named.
 fn contents(clip: &ClipResults) -> Markup {
     let mut unreadable = Vec::new();
-    let record = read::<Clip>(clip.clip.as_deref(), "ingest", &mut unreadable);
     let robot = read::<RobotMaps>(clip.robot.as_deref(), "robot-maps", &mut unreadable);
     let mut scores = Vec::new();
     for (method, path) in &clip.scores {
         let record = read::<Scores>(Some(path), "score", &mut unreadable);
         scores.extend(record.map(|record| (method.clone(), record)));
     }
+    let records = [&clip.clip, &clip.rollout];
+    let records = records.map(|path| read::<Clip>(path.as_deref(), "ingest", &mut unreadable));
+    let both = records.iter().all(Option::is_some);
     html! {
         @for (stage, why) in &unreadable { (failure(stage, why)) }
-        @if let Some(clip) = &record {
-            (facts(clip))
-            (figures("Inputs with the outline of the robot mesh", &pictures::inputs(clip, robot.as_ref())))
-            @if let Some(robot) = &robot {
-                (figures("Mesh depth (camera z) and link ids at the source times", &pictures::robot(clip, robot)))
-            }
-            (comparison(&pictures::comparison(clip, &scores)))
-            @for (method, scores) in &scores {
-                (score_table(method, &scores.summary))
-                (figures(
-                    &format!("{method}: reference, render, error, rendered depth at query times"),
-                    &pictures::renders(clip, scores),
-                ))
-            }
+        @for clip in records.iter().flatten() {
+            @if both { h3 { (heading(clip.setting())) } }
+            (of_setting(clip, robot.as_ref(), &scores))
+        }
+    }
+}
+
+/// A clip as it was recorded or with generated observations, and what was made of it.
+fn of_setting(clip: &Clip, robot: Option<&RobotMaps>, scores: &[(String, Scores)]) -> Markup {
+    let own = scores
+        .iter()
+        .filter(|(_, scores)| scores.summary.setting == clip.setting());
+    let own: Vec<&(String, Scores)> = own.collect();
+    html! {
+        (facts(clip))
+        (figures("Inputs with the outline of the robot mesh", &pictures::inputs(clip, robot)))
+        @if let Some(robot) = robot.filter(|_| clip.rollout.is_none()) {
+            (figures("Mesh depth (camera z) and link ids at the source times", &pictures::robot(clip, robot)))
+        }
+        (comparison("Reference, predictions, errors", &pictures::comparison(clip, &own)))
+        (comparison("Recorded, predicted, generated", &pictures::rollout(clip, &own)))
+        @for (method, scores) in own {
+            (score_table(method, &scores.summary))
+            (figures(
+                &format!("{method}: reference, render, error, rendered depth at query times"),
+                &pictures::renders(clip, scores),
+            ))
         }
     }
 }
@@ -98,6 +114,12 @@ fn facts(clip: &Clip) -> Markup {
         ("task", clip.task.clone()),
         ("calibration", clip.calibration_note.clone()),
         ("cameras", cameras.join(", ")),
+        (
+            "observations",
+            clip.rollout
+                .as_ref()
+                .map_or("recorded images".to_owned(), |own| generated(clip, own)),
+        ),
         ("frames of the episode", interval(&clip.episode_frames)),
         ("source frames, counted in the clip", frames(&clip.source_frames)),
         ("query frames, counted in the clip", frames(&clip.query_frames)),
@@ -118,6 +140,28 @@ fn interval(frames: &[EpisodeFrame]) -> String {
         [only] => only.to_string(),
         [] => String::new(),
     }
+}
+
+/// Which model, and how near its first frames are to the recorded ones.
+fn generated(clip: &Clip, rollout: &Rollout) -> String {
+    let model = if rollout.model.is_empty() {
+        "a world model"
+    } else {
+        &rollout.model
+    };
+    let figures = clip.cameras.iter().zip(&rollout.first_frame_psnr_db);
+    let figures: Vec<String> = figures
+        .filter_map(|(camera, figure)| Some(format!("{} {:.1} dB", camera.id, (*figure)?)))
+        .collect();
+    format!(
+        "frames of {model} ({} on disk); first frame against the first recorded one: {}",
+        rollout.layout,
+        if figures.is_empty() {
+            "not known".to_owned()
+        } else {
+            figures.join(", ")
+        }
+    )
 }
 
 fn camera(camera: &ClipCamera) -> String {
@@ -143,10 +187,10 @@ fn image(figure: &Figure) -> Markup {
 }
 
 /// Reference, predictions and error maps of chosen views, methods side by side.
-fn comparison(comparison: &Comparison) -> Markup {
+fn comparison(title: &str, comparison: &Comparison) -> Markup {
     html! {
         @if !comparison.rows.is_empty() {
-            h3 { "Reference, predictions, errors" }
+            h3 { (title) }
             table.grid {
                 tr { th {} @for column in &comparison.columns { th { (column) } } }
                 @for (label, cells) in &comparison.rows {
@@ -158,10 +202,7 @@ fn comparison(comparison: &Comparison) -> Markup {
                     }
                 }
             }
-            p.note {
-                "Error maps: mean absolute difference of the three channels, black 0 to yellow " (FULL_ERROR)
-                " of 255 and more. Input times were given to the method, the others were not."
-            }
+            p.note { (comparison.note) }
         }
     }
 }

@@ -9,7 +9,7 @@ use maud::{Markup, html};
 use rogs_score::tables::Table;
 
 use crate::forms::to_html;
-use crate::plots::plots;
+use crate::plots::{bars, plots};
 use crate::results::{ClipResults, RunResults};
 
 const STYLE: &str = include_str!("style.css");
@@ -69,10 +69,10 @@ fn untrained_banner(results: &RunResults) -> Markup {
 }
 
 fn figures(results: &RunResults) -> Markup {
-    let figures: Vec<Markup> = plots(&results.sheets)
-        .iter()
-        .filter_map(rogs_pages::Plot::figure)
-        .collect();
+    let bars = bars(&results.sheets);
+    let plots = plots(&results.sheets);
+    let plots = plots.iter().filter_map(rogs_pages::Plot::figure);
+    let figures: Vec<Markup> = bars.iter().filter_map(rogs_pages::Bars::figure).chain(plots).collect();
     html! {
         @if !figures.is_empty() {
             h2 { "Figures" }

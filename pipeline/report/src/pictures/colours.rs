@@ -5,7 +5,7 @@ use rogs_schemas::records::robot::{NO_LINK, RobotMap};
 use super::picture::Picture;
 
 /// Error, of 255, from which on error maps have their brightest colour.
-pub(crate) const FULL_ERROR: u8 = 64;
+pub(super) const FULL_ERROR: u8 = 64;
 /// Mean absolute difference of the channels as a colour ramp.
 pub(super) fn error_map(reference: &Picture, render: &Picture) -> Option<Picture> {
     (reference.rgb.len() == render.rgb.len()).then(|| {

@@ -1,6 +1,6 @@
 //! Frames of a clip: their images and maps, which ones are shown, how they are listed.
 
-use rogs_schemas::records::clip::{Clip, ClipCamera};
+use rogs_schemas::records::clip::{Clip, SourceView};
 use rogs_schemas::records::robot::{RobotMap, RobotMaps};
 use rogs_schemas::{CameraIndex, FrameIndex};
 
@@ -8,15 +8,15 @@ use super::picture::Picture;
 
 /// At most this many query times are shown per camera.
 const MAX_TIMES: usize = 4;
-/// The image of a camera at a clip frame.
-pub(super) fn frame_rgb(clip: &Clip, camera: &ClipCamera, frame: FrameIndex) -> Option<Picture> {
-    let area = (clip.height * clip.width * 3) as usize;
-    let start = frame.at() * area;
-    Picture::from_rgb(
-        clip.width,
-        clip.height,
-        camera.rgb.as_deref()?.get(start..start + area)?,
-    )
+/// The recorded image of a camera (index) at a clip frame, which renders are compared with.
+pub(super) fn target(clip: &Clip, camera: CameraIndex, frame: FrameIndex) -> Option<Picture> {
+    Picture::from_rgb(clip.width, clip.height, clip.target(camera, frame)?.rgb())
+}
+
+/// What a source camera (index) shows to whoever reconstructs a clip frame.
+pub(super) fn observation(clip: &Clip, camera: CameraIndex, frame: FrameIndex) -> Option<Picture> {
+    let view = SourceView { camera, frame };
+    Picture::from_rgb(clip.width, clip.height, clip.observation(view)?.rgb())
 }
 
 /// The robot map of a camera (index) at a clip frame.

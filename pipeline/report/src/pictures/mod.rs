@@ -7,7 +7,6 @@ mod outline;
 mod picture;
 mod sheets;
 
-pub(crate) use colours::FULL_ERROR;
-pub(crate) use comparison::{Comparison, comparison};
+pub(crate) use comparison::{Comparison, comparison, rollout};
 pub(crate) use picture::Figure;
 pub(crate) use sheets::{inputs, renders, robot};

@@ -6,7 +6,7 @@ use rogs_schemas::records::robot::{RobotMap, RobotMaps};
 use rogs_schemas::records::scores::{RenderedView, Scores};
 
 use super::colours::{depth_picture, depth_range, error_picture, link_picture};
-use super::frames::{frame_rgb, join, map_at, spread};
+use super::frames::{join, map_at, observation, spread, target};
 use super::outline::draw_outline;
 use super::picture::{Figure, Picture, grid};
 
@@ -15,7 +15,7 @@ pub(crate) fn inputs(clip: &Clip, robot: Option<&RobotMaps>) -> Vec<Figure> {
     let strip = |camera: CameraIndex| {
         let source = clip.cameras.get(camera.at())?;
         let cells = clip.source_frames.iter().map(|&frame| {
-            let mut picture = frame_rgb(clip, source, frame)?;
+            let mut picture = observation(clip, camera, frame)?;
             if let Some(map) = robot.and_then(|robot| map_at(robot, camera, frame)) {
                 draw_outline(&mut picture, map);
             }
@@ -54,7 +54,7 @@ pub(crate) fn robot(clip: &Clip, robot: &RobotMaps) -> Vec<Figure> {
 /// One sheet per camera: reference, render, absolute error (times 2), rendered depth, at some query times.
 pub(crate) fn renders(clip: &Clip, scores: &Scores) -> Vec<Figure> {
     let frames = spread(&clip.query_frames);
-    let sheet = |camera: &ClipCamera| {
+    let sheet = |(index, camera): (CameraIndex, &ClipCamera)| {
         let views: Vec<Option<&RenderedView>> = frames
             .iter()
             .map(|&frame| {
@@ -65,7 +65,7 @@ pub(crate) fn renders(clip: &Clip, scores: &Scores) -> Vec<Figure> {
             })
             .collect();
         views.iter().flatten().next()?;
-        let reference: Vec<Option<Picture>> = frames.iter().map(|&frame| frame_rgb(clip, camera, frame)).collect();
+        let reference: Vec<Option<Picture>> = frames.iter().map(|&frame| target(clip, index, frame)).collect();
         let render: Vec<Option<Picture>> = views
             .iter()
             .map(|view| view.and_then(|view| Picture::from_rgb(view.width, view.height, &view.rgb)))
@@ -89,5 +89,8 @@ pub(crate) fn renders(clip: &Clip, scores: &Scores) -> Vec<Figure> {
         let held_out = if camera.partner.is_some() { " (held out)" } else { "" };
         grid(&[reference, render, error, depth])?.jpeg(format!("{}{held_out}, frames {}", camera.id, join(&frames)))
     };
-    clip.cameras.iter().filter_map(sheet).collect()
+    CameraIndex::first(clip.cameras.len())
+        .zip(&clip.cameras)
+        .filter_map(sheet)
+        .collect()
 }

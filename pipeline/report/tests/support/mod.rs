@@ -185,7 +185,8 @@ fn the_clip(id: &str) -> Clip {
             cy: 4.0,
         },
         mount,
-        rgb: Some((0..FRAMES as u8).flat_map(|frame| image(index, frame)).collect()),
+        recorded: Some((0..FRAMES as u8).flat_map(|frame| image(index, frame)).collect()),
+        generated: None,
         depth: None,
     };
     let fixed = || CameraMount::Fixed {
@@ -219,6 +220,7 @@ fn the_clip(id: &str) -> Clip {
             gripper: vec![0.0; FRAMES as usize],
         },
         tracks: None,
+        rollout: None,
     }
 }
 

@@ -5,6 +5,7 @@ mod completions;
 mod demo;
 mod diff;
 mod doctor;
+mod export;
 mod fk;
 mod gc;
 mod inspect;
@@ -59,6 +60,7 @@ enum Command {
     Query(query::Args),
     Inspect(inspect::Args),
     Fk(fk::Args),
+    Export(export::Args),
     Doctor(doctor::Args),
     Schema(schema::Args),
     Completions(completions::Args),
@@ -86,6 +88,7 @@ pub(crate) fn run(command_line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Render(args) => render::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Fk(args) => fk::run(&args),
+        Command::Export(args) => export::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Schema(args) => schema::run(&args),
         Command::Completions(args) => completions::run(&args),

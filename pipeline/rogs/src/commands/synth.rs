@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use anyhow::Context as _;
 use rogs_schemas::records::robot::RobotSpec;
 use rogs_synth::{
-    DatasetSummary, EPISODES_FOLDER, ROBOT_FOLDER, ROBOT_SPEC_FILE, ROBOT_URDF_FILE, Resolution, SynthConfig,
-    generate_episode, write_dataset_with, write_pointworld,
+    DatasetSummary, Distortions, EPISODES_FOLDER, ROBOT_FOLDER, ROBOT_SPEC_FILE, ROBOT_URDF_FILE, Resolution,
+    SynthConfig, generate_episode, write_dataset_with, write_pointworld, write_rollout,
 };
 
 use crate::output;
@@ -47,10 +47,35 @@ pub(crate) struct Args {
     /// (docs/pointworld.md).
     #[arg(long)]
     pointworld: bool,
+    #[command(flatten)]
+    rollouts: RolloutArgs,
     /// Print one JSON value.
     #[arg(long)]
     json: bool,
 }
+
+/// Distortions of procedural rollouts.
+#[derive(Debug, Clone, Copy, Default, clap::Args)]
+struct RolloutArgs {
+    /// Also write rollouts, which the manifest runs beside the recordings: what a world model might have made of the
+    /// episodes. Without the distortions below they are the recordings.
+    #[arg(long)]
+    rollouts: bool,
+    /// Blur of the last frame of a rollout, pixels (standard deviation); none at the first.
+    #[arg(long, value_name = "PX", default_value_t = 0.0, requires = "rollouts")]
+    blur: f64,
+    /// How far the first external camera of a rollout has moved at the last frame, metres.
+    #[arg(long, value_name = "M", default_value_t = 0.0, requires = "rollouts")]
+    drift: f64,
+    /// Frames by which the robot of a rollout lags behind.
+    #[arg(long, value_name = "FRAMES", default_value_t = 0, requires = "rollouts")]
+    lag: u32,
+}
+
+/// Folder of the rollouts in a dataset.
+const ROLLOUTS_FOLDER: &str = "rollouts";
+/// Frames of a rollout: those of a clip.
+const ROLLOUT_FRAMES: usize = 17;
 
 /// `WIDTHxHEIGHT` as `[height, width]`.
 fn parse_size(text: &str) -> Result<[u32; 2], String> {
@@ -75,6 +100,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
             write_pointworld(&args.out.join(POINTWORLD_FOLDER), &generate_episode(&config, seed)?)?;
         }
     }
+    if args.rollouts.rollouts {
+        make_rollouts(args, &config, &manifest)?;
+    }
     if args.json {
         output::json(&serde_json::json!({ "dataset": summary, "manifest": manifest }))?;
     } else {
@@ -87,6 +115,30 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         ))?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Writes a rollout of every episode and names their folder in the manifest. Those that are there are kept.
+fn make_rollouts(args: &Args, config: &SynthConfig, manifest: &Path) -> anyhow::Result<()> {
+    let RolloutArgs { blur, drift, lag, .. } = args.rollouts;
+    let distortions = Distortions {
+        blur_px: blur,
+        drift_m: drift,
+        lag_frames: lag,
+    };
+    let root = args.out.join(ROLLOUTS_FOLDER);
+    for seed in (args.seed..).take(args.episodes as usize) {
+        let episode = generate_episode(config, seed)?;
+        let place = root.join(episode.id());
+        write_rollout(&place, &episode, config.anchor() as usize, ROLLOUT_FRAMES, &distortions)?;
+        output::note(&format!("rollout {}", place.display()));
+    }
+    let text = std::fs::read_to_string(manifest).with_context(|| format!("reading `{}`", manifest.display()))?;
+    if !text.contains("\n[rollouts]") {
+        let model = format!("none: blur {blur} px, drift {drift} m, lag {lag} frames");
+        let text = format!("{text}\n[rollouts]\nroot = \"{ROLLOUTS_FOLDER}\"\nmodel = \"{model}\"\n");
+        rogs_files::write_bytes(manifest, text.as_bytes())?;
+    }
+    Ok(())
 }
 
 /// Episodes of so many frames, all images of one size.

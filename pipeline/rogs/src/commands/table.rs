@@ -11,11 +11,12 @@ use rogs_score::tables::{TableId, TableOptions};
 
 use crate::output;
 
-/// Prints a table of the paper, made from the scores of a run folder.
+/// Prints a table of the paper, made from the scores of run folders.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The run folder.
-    run: PathBuf,
+    /// The run folder; of several, the scores are taken together, as of recordings and of rollouts.
+    #[arg(required = true, value_name = "RUN")]
+    runs: Vec<PathBuf>,
     /// Which table.
     #[arg(long, default_value = TableId::Main.name(), value_parser = table_id())]
     table: TableId,
@@ -70,24 +71,24 @@ fn table_id() -> impl TypedValueParser<Value = TableId> {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    print(&args.run, args.table, &args.print)
+    print(&args.runs, args.table, &args.print)
 }
 
 pub(crate) fn run_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
     match args.table {
-        Some(table) => print(&args.run, table, &args.print),
+        Some(table) => print(std::slice::from_ref(&args.run), table, &args.print),
         None => super::status::make_report(&args.run, args.print.json),
     }
 }
 
-fn print(run: &Path, id: TableId, print: &Print) -> anyhow::Result<ExitCode> {
+fn print(runs: &[PathBuf], id: TableId, print: &Print) -> anyhow::Result<ExitCode> {
     let options = TableOptions {
         published: print.published,
         intervals: print.intervals,
         hide_empty_rows: !print.published,
     };
     let counts = print.selection.as_deref().map(selection_counts).transpose()?;
-    let table = RunResults::read(run)?.table(id, counts.as_ref(), options)?;
+    let table = results(runs)?.table(id, counts.as_ref(), options)?;
     let form = match print.format {
         _ if print.json => Form::Json,
         Format::Text => Form::Text,
@@ -97,6 +98,17 @@ fn print(run: &Path, id: TableId, print: &Print) -> anyhow::Result<ExitCode> {
     };
     output::text(&form.print(&table)?)?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// The results of all runs together.
+fn results(runs: &[PathBuf]) -> anyhow::Result<RunResults> {
+    let mut runs = runs.iter();
+    let first = runs.next().context("name a run folder")?;
+    let mut results = RunResults::read(first)?;
+    for run in runs {
+        results.add(RunResults::read(run)?);
+    }
+    Ok(results)
 }
 
 /// The counts in a `selection.json`.

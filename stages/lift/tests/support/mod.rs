@@ -53,7 +53,8 @@ pub(crate) fn small_clip([rows, columns]: [usize; 2], cameras: &[&str], queries:
         mount: CameraMount::Fixed {
             base_from_camera: camera_pose(index),
         },
-        rgb: Some(rgb(index)),
+        recorded: Some(rgb(index)),
+        generated: None,
         depth: None,
     });
     let clip = Clip {
@@ -76,6 +77,7 @@ pub(crate) fn small_clip([rows, columns]: [usize; 2], cameras: &[&str], queries:
             gripper: vec![0.0; FRAMES],
         },
         tracks: None,
+        rollout: None,
     };
     let link_pose = |frame: usize| {
         let (s, c) = (0.1 * frame as f64).sin_cos();

@@ -129,11 +129,9 @@ fn views(
             CameraRole::Evaluation => continue,
         };
         let of_frame = frame.at() * pixels..(frame.at() + 1) * pixels;
-        let rgb = camera
-            .rgb
-            .as_ref()
-            .and_then(|rgb| rgb.get(3 * of_frame.start..3 * of_frame.end));
-        let Some(rgb) = rgb else { continue };
+        let Some(target) = clip.target(index, frame) else {
+            continue;
+        };
         let depth = camera.depth.as_ref();
         let range = depth.map_or([0.0, f32::INFINITY], |depth| depth.range_m);
         let stored = depth.and_then(|depth| depth.depth_m.get(of_frame));
@@ -154,7 +152,7 @@ fn views(
         views.push(TargetView {
             side,
             camera: raster_camera(clip, robot, field, index, frame)?,
-            rgb: rgb.iter().map(|&value| f32::from(value) / 255.0).collect(),
+            rgb: target.rgb().iter().map(|&value| f32::from(value) / 255.0).collect(),
             covered: if stored.is_some() {
                 depth_valid.clone()
             } else {

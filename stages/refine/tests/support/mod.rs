@@ -82,7 +82,8 @@ pub(crate) fn example_of(sizes: Sizes, seed: u64) -> Example {
             mount: CameraMount::Fixed {
                 base_from_camera: pose(index),
             },
-            rgb: Some(image(sizes, index, seed)),
+            recorded: Some(image(sizes, index, seed)),
+            generated: None,
             depth: None,
         })
         .collect();
@@ -106,6 +107,7 @@ pub(crate) fn example_of(sizes: Sizes, seed: u64) -> Example {
             gripper: vec![0.0; frames],
         },
         tracks: None,
+        rollout: None,
     };
     let robot = RobotMaps {
         clip_id: "wall".parse().unwrap(),

@@ -17,6 +17,6 @@ pub fn table(id: TableId, input: &TableInput<'_>, options: TableOptions) -> Resu
         (_, Some(layout)) => measured::table(id, layout, &set, input, options),
         (TableId::Cohort, _) => words::cohort(input.cohort, options),
         (TableId::Timing, _) => timing::table(&set, input, options),
-        _ => words::inputs(),
+        _ => words::inputs(input.signals, options),
     })
 }

@@ -1,5 +1,6 @@
 //! What tables are made of, and how.
 
+pub(crate) use rogs_schemas::records::clip::{RECORDED, ROLLOUT};
 use rogs_schemas::records::scores::ScoreSheet;
 
 use crate::cohort::CohortCounts;
@@ -14,7 +15,38 @@ pub struct TableInput<'a> {
     pub timings: &'a [ClipTiming],
     /// Counts of the cohort's construction, where they are known.
     pub cohort: Option<&'a CohortCounts>,
+    /// What every method was given, where it is known.
+    pub signals: &'a [MethodSignals],
 }
+
+/// What a method was given in a setting, in words: one row of the table of inputs.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct MethodSignals {
+    /// Setting, as in its score sheets.
+    pub setting: String,
+    /// Method, as in its score sheets.
+    pub method: String,
+    /// One entry a signal of [`SIGNALS`].
+    pub given: [String; SIGNALS.len()],
+}
+
+/// The signals that the table of inputs tells of.
+pub const SIGNALS: [&str; 9] = [
+    "observations",
+    "visual input",
+    "calibrated cameras",
+    "joint and gripper states",
+    "robot mesh",
+    "source-time stereo depth",
+    "held-out RGB and depth",
+    "3D track references",
+    "fitting to target depth",
+];
+
+/// A signal of an outside method of which its files say nothing.
+pub const NOT_TOLD: &str = "not told";
+/// One factor per camera and no more.
+pub const SCALE_ONLY: &str = "scale only";
 
 /// How tables are printed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -27,13 +59,9 @@ pub struct TableOptions {
     pub hide_empty_rows: bool,
 }
 
-/// The setting of scores over recordings.
-pub(crate) const RECORDED: &str = "recorded";
-/// The setting of scores over videos that a world model made.
-pub(crate) const ROLLOUT: &str = "rollout";
-
 /// What a setting is called in print.
-pub(crate) fn heading(setting: &str) -> String {
+#[must_use]
+pub fn heading(setting: &str) -> String {
     match setting {
         RECORDED => "Recorded observations".to_owned(),
         ROLLOUT => "World-model rollouts".to_owned(),

@@ -28,5 +28,5 @@ mod words;
 
 pub use build::table;
 pub use id::{TableError, TableId};
-pub use input::{TableInput, TableOptions};
+pub use input::{MethodSignals, NOT_TOLD, SCALE_ONLY, SIGNALS, TableInput, TableOptions, heading};
 pub use table::{Better, Cell, Column, Row, Table};

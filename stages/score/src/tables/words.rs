@@ -2,7 +2,8 @@
 
 use crate::cohort::CohortCounts;
 use crate::tables::id::TableId;
-use crate::tables::input::TableOptions;
+use crate::tables::input::{MethodSignals, NOT_TOLD, SCALE_ONLY, SIGNALS, TableOptions, heading};
+use crate::tables::layout::METHODS;
 use crate::tables::table::{Cell, Column, Row, Table};
 
 /// A row of the cohort: print label, count, and the paper's count as printed there.
@@ -17,25 +18,17 @@ const STAGES: [Stage; 5] = [
     ("fixed-seed sample", |counts| counts.selected, &["256"]),
 ];
 
-const METHODS: [&str; 4] = ["ours", "MoVieS", "4DGT", "SoM"];
-
-/// What each of [`METHODS`] has of a signal.
+/// What the paper's methods were given, by [`SIGNALS`].
 #[rustfmt::skip]
-const SIGNALS: [(&str, [&str; 4]); 8] = [
-    ("left-eye visual input", ["5 times x 3 views", "5 / camera", "17 / camera", "17 / camera"]),
-    ("calibrated cameras", ["yes"; 4]),
-    ("joint and gripper states", ["anchoring, FK", "no", "no", "FK masks only"]),
-    ("robot mesh", ["geometry prior", "no", "no", "foreground mask"]),
-    ("source-time stereo depth", ["no", "scale only", "no", "scale only"]),
-    ("right-eye RGB and depth", ["evaluation only"; 4]),
-    ("3D track references", ["evaluation only"; 4]),
-    ("fitting to target depth", ["no"; 4]),
+const PUBLISHED: [(&str, [&str; SIGNALS.len()]); 4] = [
+    ("Ours", ["either", "5 times x 3 views", "yes", "anchoring, FK", "geometry prior", "no", "evaluation only", "evaluation only", "no"]),
+    ("MoVieS", ["either", "5 / camera", "yes", "no", "no", "scale only", "evaluation only", "evaluation only", "no"]),
+    ("4DGT", ["either", "17 / camera", "yes", "no", "no", "no", "evaluation only", "evaluation only", "no"]),
+    ("SoM", ["either", "17 / camera", "yes", "FK masks only", "foreground mask", "scale only", "evaluation only", "evaluation only", "no"]),
 ];
 
-const SIGNAL_NOTES: [&str; 2] = [
-    "scale only: one factor per camera from recorded left-eye stereo depth at the five source times, for rollouts too",
-    "every method receives calibrated camera poses, including the wrist trajectory",
-];
+const SCALE_NOTE: &str =
+    "scale only: one factor per camera from recorded left-eye stereo depth at the source times, for rollouts too";
 
 /// The construction of the cohort.
 pub(crate) fn cohort(counts: Option<&CohortCounts>, options: TableOptions) -> Table {
@@ -58,18 +51,63 @@ pub(crate) fn cohort(counts: Option<&CohortCounts>, options: TableOptions) -> Ta
     }
 }
 
-/// The signals that every method of the main comparison sees.
-pub(crate) fn inputs() -> Table {
-    let row = |(label, cells): (&str, [&str; 4])| Row {
-        cells: cells.map(|text| Cell::Text(text.to_owned())).to_vec(),
+/// What every method of the run was given; beside it, where asked for or nothing is known of a run, what the paper's were.
+pub(crate) fn inputs(signals: &[MethodSignals], options: TableOptions) -> Table {
+    let row = |group: String, label: &str, method: &str, cells: Vec<String>| Row {
+        group,
+        method: method.to_owned(),
+        cells: cells.into_iter().map(Cell::Text).collect(),
         ..Row::of_words(label)
     };
+    let name = |method: &str| {
+        let known = METHODS.iter().find(|known| known.method == method);
+        known.map_or(method.to_owned(), |known| known.label.to_owned())
+    };
+    let mut rows: Vec<Row> = signals
+        .iter()
+        .map(|own| {
+            row(
+                heading(&own.setting),
+                &name(&own.method),
+                &own.method,
+                own.given.to_vec(),
+            )
+        })
+        .collect();
+    if options.published || signals.is_empty() {
+        let published = PUBLISHED.iter().map(|(label, cells)| {
+            row(
+                "The paper's evaluation".to_owned(),
+                label,
+                "",
+                cells.map(str::to_owned).to_vec(),
+            )
+        });
+        rows.extend(published);
+    }
+    let mut footnotes = Vec::new();
+    if rows
+        .iter()
+        .any(|row| row.cells.contains(&Cell::Text(SCALE_ONLY.to_owned())))
+    {
+        footnotes.push(SCALE_NOTE.to_owned());
+    }
+    if signals.iter().any(|own| own.given.iter().any(|text| text == NOT_TOLD)) {
+        footnotes.push(format!(
+            "{NOT_TOLD}: the method's files do not say; see what its makers state"
+        ));
+    }
+    footnotes.push("every method receives calibrated camera poses, including the wrist trajectory".to_owned());
     Table {
         id: TableId::Inputs,
-        title: "Signals used in the main comparison",
-        columns: METHODS.map(Column::plain).to_vec(),
-        rows: SIGNALS.into_iter().map(row).collect(),
-        footnotes: SIGNAL_NOTES.map(str::to_owned).to_vec(),
+        title: if signals.is_empty() {
+            "Signals used in the paper's evaluation"
+        } else {
+            "Signals that this run used"
+        },
+        columns: SIGNALS.map(Column::plain).to_vec(),
+        rows,
+        footnotes,
         counted: false,
     }
 }

@@ -52,7 +52,8 @@ pub(crate) fn clip(with_references: bool) -> Clip {
         mount: CameraMount::Fixed {
             base_from_camera: LOOKING_ALONG_X,
         },
-        rgb: references.then(|| vec![128; FRAMES * HEIGHT * WIDTH * 3]),
+        recorded: references.then(|| vec![128; FRAMES * HEIGHT * WIDTH * 3]),
+        generated: None,
         depth: references.then(|| {
             let mut depth_m = vec![1.02; FRAMES * HEIGHT * WIDTH];
             depth_m[0] = f32::NAN;
@@ -109,6 +110,7 @@ pub(crate) fn clip(with_references: bool) -> Clip {
             visible: vec![1; 3 * FRAMES],
             origin: ReferenceOrigin::Exact,
         }),
+        rollout: None,
     }
 }
 

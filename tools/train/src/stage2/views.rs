@@ -2,7 +2,7 @@
 
 use rogs_field::TimedField;
 use rogs_geometry::{Pose, PosedCamera, Recon};
-use rogs_schemas::records::clip::{Clip, time_of_frame};
+use rogs_schemas::records::clip::{Clip, Target, time_of_frame};
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::units::LengthUnit;
 use rogs_schemas::{CameraIndex, FrameIndex};
@@ -36,14 +36,10 @@ pub(super) fn view(
     Ok(render(&scene, &camera, &RasterConfig::default())?.rgb)
 }
 
-/// What a camera saw, RGB in 0..1. `[A, 3]`
+/// What a camera saw, RGB in 0..1; empty where it saw nothing. `[A, 3]`
 pub(super) fn seen(clip: &Clip, frame: FrameIndex, camera: CameraIndex) -> Vec<f32> {
-    let length = 3 * clip.height as usize * clip.width as usize;
-    let images = clip.cameras[camera.at()].rgb.as_deref().unwrap_or_default();
-    images[frame.at() * length..][..length]
-        .iter()
-        .map(|&value| f32::from(value) / 255.0)
-        .collect()
+    let image = clip.target(camera, frame).map_or(&[][..], Target::rgb);
+    image.iter().map(|&value| f32::from(value) / 255.0).collect()
 }
 
 /// Rows: seen, Stage 1, refined; columns: the source cameras.

@@ -57,7 +57,7 @@ fn save<T: Record>(folder: &Path, name: &str, record: &T) {
 fn latent(clip: &Clip, camera: usize) -> (Vec<usize>, Vec<f32>) {
     let [rows, columns] = SIZE.map(|side| side / CELL);
     let times = clip.frame_count().div_ceil(STRIDE);
-    let rgb = clip.cameras[camera].rgb.as_ref().unwrap();
+    let rgb = clip.cameras[camera].recorded.as_ref().unwrap();
     let mut values = vec![0.0; CHANNELS * times * rows * columns];
     for (index, value) in values.iter_mut().enumerate() {
         let (channel, rest) = (index / (times * rows * columns), index % (times * rows * columns));

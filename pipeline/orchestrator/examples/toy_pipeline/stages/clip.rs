@@ -85,7 +85,8 @@ impl Stage for Ingest {
             mount: CameraMount::Fixed {
                 base_from_camera: RigidPose::IDENTITY,
             },
-            rgb: Some((0..FRAMES).flat_map(|frame| picture(seed_of(&text), frame)).collect()),
+            recorded: Some((0..FRAMES).flat_map(|frame| picture(seed_of(&text), frame)).collect()),
+            generated: None,
             depth: Some(DepthReference {
                 depth_m: vec![1.5; FRAMES * HEIGHT * WIDTH],
                 range_m: [0.1, 5.0],
@@ -115,6 +116,7 @@ impl Stage for Ingest {
                 gripper: vec![0.5; FRAMES],
             },
             tracks: None,
+            rollout: None,
         };
         context.progress(0.5, "reading");
         write(context, Self::NAME, &clip)

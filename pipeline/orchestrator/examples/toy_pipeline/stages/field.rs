@@ -151,8 +151,6 @@ impl Stage for Refine {
 pub(crate) struct ScoreParams {
     /// Method name.
     method: String,
-    /// Setting.
-    setting: String,
 }
 
 pub(crate) struct Score(ScoreParams);
@@ -217,7 +215,7 @@ impl Stage for Score {
                 summary: ScoreSheet {
                     clip_id: clip.clip_id.clone(),
                     method: self.0.method.clone(),
-                    setting: self.0.setting.clone(),
+                    setting: clip.setting().to_owned(),
                     ssim_variant: "toy".into(),
                     lpips_note: Some("no weights".into()),
                     weights: vec![field.weights],

@@ -1,0 +1,240 @@
+//! Procedural rollouts: what a world model might have made of an episode, wrong by known amounts.
+//!
+//! The first frame is the recorded one. From there the pictures are drawn anew: of a robot (and what it moves) that lags
+//! behind its recorded states, from an external camera that drifts, and blurred more and more. Without distortions they are
+//! the recorded pictures to the byte.
+
+use std::path::Path;
+
+use glam::DVec3;
+use rayon::prelude::*;
+use rogs_files::Draft;
+use rogs_geometry::{Camera, Pose};
+
+use crate::cameras::CAMERA_NAMES;
+use crate::episode::Episode;
+use crate::error::{Error, Result};
+use crate::render::View;
+use crate::write::png;
+
+/// Source cameras of an episode; held-out ones are no part of a rollout.
+const SOURCES: [usize; 3] = [0, 1, 2];
+/// The camera that drifts.
+const DRIFTING: usize = 1;
+
+/// How a rollout departs from the recording.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Distortions {
+    /// Standard deviation of a Gaussian blur at the last frame, pixels; it grows evenly from 0 at the first.
+    pub blur_px: f64,
+    /// How far the first external camera has moved along its own x at the last frame, metres; evenly from 0.
+    pub drift_m: f64,
+    /// Frames by which the robot, and what it moves, lag behind; never before the first frame.
+    pub lag_frames: u32,
+}
+
+impl Distortions {
+    fn check(&self) -> Result<()> {
+        let wrong = |what, value: f64, rule| {
+            Err(Error::Config {
+                what,
+                value: value.to_string(),
+                rule,
+            })
+        };
+        if !(0.0..=50.0).contains(&self.blur_px) {
+            return wrong("blur_px", self.blur_px, "from 0 to 50");
+        }
+        if !(-1.0..=1.0).contains(&self.drift_m) {
+            return wrong("drift_m", self.drift_m, "from -1 to 1");
+        }
+        Ok(())
+    }
+}
+
+impl Episode {
+    /// The source cameras at a frame of a rollout that starts at episode frame `first` and has `count` frames; `number` is
+    /// counted from there. Frames beyond the episode are its last one.
+    #[must_use]
+    pub fn render_rollout(&self, first: usize, number: usize, count: usize, distortions: &Distortions) -> Vec<View> {
+        let last = self.frame_count().saturating_sub(1);
+        let frame = (first + number).min(last);
+        let shown = frame
+            .saturating_sub(distortions.lag_frames as usize)
+            .max(first.min(last));
+        let share = if count > 1 {
+            number as f64 / (count - 1) as f64
+        } else {
+            0.0
+        };
+        let drift: Pose<Camera, Camera> = Pose::from_translation(DVec3::X * (distortions.drift_m * share));
+        let moved = |camera: usize| if camera == DRIFTING { drift } else { Pose::IDENTITY };
+        let mut views = self.render_moved(shown, frame, &SOURCES, &moved);
+        for (view, camera) in views.iter_mut().zip(SOURCES) {
+            let lens = &self.cameras[camera].lens;
+            view.rgb = blurred(
+                &view.rgb,
+                lens.width as usize,
+                lens.height as usize,
+                distortions.blur_px * share,
+            );
+        }
+        views
+    }
+}
+
+/// Writes a rollout of `count` frames from episode frame `first` on: a folder of PNG files a source camera, as
+/// `docs/rollouts.md` describes. One that is there is kept as it is.
+///
+/// # Errors
+/// When the distortions are out of range, or a file cannot be written.
+pub fn write_rollout(
+    place: &Path,
+    episode: &Episode,
+    first: usize,
+    count: usize,
+    distortions: &Distortions,
+) -> Result<()> {
+    distortions.check()?;
+    if place.exists() {
+        return Ok(());
+    }
+    let draft = Draft::begin(place)?;
+    (0..count).into_par_iter().try_for_each(|number| -> Result<()> {
+        let views = episode.render_rollout(first, number, count, distortions);
+        for (view, camera) in views.iter().zip(SOURCES) {
+            let lens = &episode.cameras[camera].lens;
+            let name = format!("{}/{number:06}.png", CAMERA_NAMES[camera]);
+            draft.write(name, &png(&view.rgb, lens.width, lens.height)?)?;
+        }
+        Ok(())
+    })?;
+    Ok(draft.publish()?)
+}
+
+/// An image blurred by a Gaussian of this standard deviation, pixels; borders repeat. `[h, w, 3]`
+fn blurred(rgb: &[u8], width: usize, height: usize, sigma_px: f64) -> Vec<u8> {
+    if sigma_px < 0.05 {
+        return rgb.to_vec();
+    }
+    let reach = (3.0 * sigma_px).ceil() as isize;
+    let weights: Vec<f64> = (-reach..=reach)
+        .map(|at| (-0.5 * (at as f64 / sigma_px).powi(2)).exp())
+        .collect();
+    let total: f64 = weights.iter().sum();
+    let pass = |values: &[f64], length: usize, stride: usize, lines: &dyn Fn(usize) -> usize, count: usize| {
+        let mut out = vec![0.0; values.len()];
+        for line in 0..count {
+            let start = lines(line);
+            for place in 0..length {
+                let sum: f64 = weights
+                    .iter()
+                    .zip(-reach..)
+                    .map(|(weight, shift)| {
+                        let at = (place as isize + shift).clamp(0, length as isize - 1) as usize;
+                        weight * values[start + at * stride]
+                    })
+                    .sum();
+                out[start + place * stride] = sum / total;
+            }
+        }
+        out
+    };
+    let values: Vec<f64> = rgb.iter().map(|&value| f64::from(value)).collect();
+    let rows = pass(&values, width, 3, &|line| line / 3 * width * 3 + line % 3, height * 3);
+    let both = pass(&rows, height, width * 3, &|line| line, width * 3);
+    both.iter().map(|value| value.round().clamp(0.0, 255.0) as u8).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cameras::Resolution;
+    use crate::config::SynthConfig;
+    use crate::episode::generate_episode;
+
+    fn episode() -> Episode {
+        let config = SynthConfig {
+            frames: 24,
+            resolution: Resolution {
+                wrist: [28, 42],
+                external: [28, 42],
+            },
+            ..SynthConfig::default()
+        };
+        generate_episode(&config, 3).unwrap()
+    }
+
+    fn difference(a: &View, b: &View) -> u64 {
+        a.rgb.iter().zip(&b.rgb).map(|(a, b)| u64::from(a.abs_diff(*b))).sum()
+    }
+
+    #[test]
+    fn without_distortions_a_rollout_is_the_recording() {
+        let episode = episode();
+        for number in [0, 9, 16] {
+            let recorded = episode.render_cameras(7 + number, &SOURCES);
+            assert_eq!(episode.render_rollout(7, number, 17, &Distortions::default()), recorded);
+        }
+    }
+
+    #[test]
+    fn every_rollout_begins_as_the_recording_and_departs_from_it_by_what_is_asked() {
+        let episode = episode();
+        let none = Distortions::default();
+        let kinds = [
+            ("blur", Distortions { blur_px: 2.0, ..none }, [true, true, true]),
+            ("drift", Distortions { drift_m: 0.05, ..none }, [false, true, false]),
+            ("lag", Distortions { lag_frames: 2, ..none }, [true, true, true]),
+        ];
+        for (name, distortions, departs) in kinds {
+            assert_eq!(
+                episode.render_rollout(7, 0, 17, &distortions),
+                episode.render_cameras(7, &SOURCES),
+                "{name}"
+            );
+            let recorded = episode.render_cameras(19, &SOURCES);
+            let made = episode.render_rollout(7, 12, 17, &distortions);
+            for ((made, recorded), departs) in made.iter().zip(&recorded).zip(departs) {
+                assert_eq!(difference(made, recorded) > 0, departs, "{name}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_lagging_robot_shows_what_was_two_frames_before() {
+        let episode = episode();
+        let lag = Distortions {
+            lag_frames: 2,
+            ..Distortions::default()
+        };
+        let lagging = episode.render_rollout(7, 10, 17, &lag);
+        // The noise is that of the frame, the scene that of two before.
+        let [before, now] = [15, 17].map(|frame| episode.render_cameras(frame, &SOURCES));
+        assert!(lagging[1].depth_m == before[1].depth_m && lagging[1].depth_m != now[1].depth_m);
+    }
+
+    #[test]
+    fn a_blur_keeps_a_flat_image_and_spreads_a_point() {
+        assert_eq!(blurred(&[80; 5 * 4 * 3], 5, 4, 1.5), vec![80; 5 * 4 * 3]);
+        let mut point = vec![0u8; 9 * 9 * 3];
+        point[(4 * 9 + 4) * 3] = 255;
+        let spread = blurred(&point, 9, 9, 1.0);
+        let at = |x: usize, y: usize| spread[(y * 9 + x) * 3];
+        assert!(at(4, 4) < 60 && at(3, 4) > 15 && at(3, 4) == at(4, 3) && at(5, 4) == at(4, 5));
+        assert!(spread.iter().skip(1).step_by(3).all(|&green| green == 0));
+    }
+
+    #[test]
+    fn impossible_distortions_are_named() {
+        let folder = std::env::temp_dir().join("rogs-synth-no-rollout");
+        let wrong = Distortions {
+            drift_m: f64::NAN,
+            ..Distortions::default()
+        };
+        let error = write_rollout(&folder, &episode(), 7, 17, &wrong)
+            .unwrap_err()
+            .to_string();
+        assert!(error.starts_with("drift_m: `NaN`"), "{error}");
+    }
+}
