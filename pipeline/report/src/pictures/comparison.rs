@@ -104,7 +104,7 @@ pub(crate) fn rollout(clip: &Clip, scores: &[&(String, Scores)]) -> Comparison {
     };
     comparison.columns = views.iter().map(name).collect();
     let cells = |picture: &dyn Fn(CameraIndex, FrameIndex) -> Option<Picture>, what: &str| -> Vec<Option<Figure>> {
-        let cell = |view: &(usize, u32)| picture(view.0, view.1)?.jpeg(format!("{} {what}", name(view)));
+        let cell = |view: &(CameraIndex, FrameIndex)| picture(view.0, view.1)?.jpeg(format!("{} {what}", name(view)));
         views.iter().map(cell).collect()
     };
     comparison.rows.push((
