@@ -10,11 +10,15 @@
 #![allow(clippy::disallowed_methods, reason = "files of benchmarks may be left half-written")]
 #![allow(missing_docs, reason = "a program")]
 
+#[path = "../../../tests/support/bench.rs"]
+mod bench;
+
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::time::Instant;
 
+use bench::{processor_seconds, run_peer};
 use rogs_r4c::{Chunk, Codec, Dtype, Element, Frame, Reader, StreamSpec, Unit, Writer};
 use rogs_schemas::{KeyMaterial, Provenance, SchemaId};
 
@@ -196,42 +200,25 @@ fn best(mut run: impl FnMut()) -> Seconds {
     best
 }
 
-/// Processor time of all threads so far; NaN where the system does not tell.
-fn processor_seconds() -> f64 {
-    let Ok(threads) = std::fs::read_dir("/proc/self/task") else {
-        return f64::NAN;
-    };
-    let of = |thread: std::io::Result<std::fs::DirEntry>| -> Option<f64> {
-        let text = std::fs::read_to_string(thread.ok()?.path().join("schedstat")).ok()?;
-        Some(text.split(' ').next()?.parse::<f64>().ok()? * 1e-9)
-    };
-    threads.filter_map(of).sum()
-}
-
 /// The peers on the same arrays, where a Python for them is named.
 fn peers(folder: &Path, gaussians: &[f32], depth: &[f32], links: &[u8]) -> Vec<Line> {
-    let Some(python) = std::env::var_os("ROGS_PEER_PYTHON") else {
-        println!("peers skipped: set ROGS_PEER_PYTHON to a Python that has them");
-        return Vec::new();
-    };
     let dump = |name: &str, bytes: &[u8]| std::fs::write(folder.join(name), bytes).expect("a dump can be written");
     dump("gauss.bin", bytemuck::cast_slice(gaussians));
     dump("depth.bin", bytemuck::cast_slice(depth));
     dump("ids.bin", links);
     let maps = VIEWS * TIMES;
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/peers/io_peers.py");
-    let output = Command::new(python)
-        .arg(script)
-        .arg(folder)
-        .args(["gauss", "<f4", &format!("{maps}x{HEIGHT}x{WIDTH}x{CHANNELS}")])
-        .args(["depth", "<f4", &format!("{maps}x{HEIGHT}x{WIDTH}")])
-        .args(["ids", "u1", &format!("{maps}x{HEIGHT}x{WIDTH}")])
-        .output()
-        .expect("the Python of the peers can be started");
-    if !output.status.success() {
-        println!("peers failed: {}", String::from_utf8_lossy(&output.stderr));
-    }
-    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let shapes = [
+        format!("{maps}x{HEIGHT}x{WIDTH}x{CHANNELS}"),
+        format!("{maps}x{HEIGHT}x{WIDTH}"),
+    ];
+    let words = [
+        ["gauss", "<f4", &shapes[0]],
+        ["depth", "<f4", &shapes[1]],
+        ["ids", "u1", &shapes[1]],
+    ];
+    let mut arguments = vec![folder.as_os_str()];
+    arguments.extend(words.as_flattened().iter().map(OsStr::new));
+    let text = run_peer("io_peers.py", &arguments).unwrap_or_default();
     let line = |text: &str| -> Option<Line> {
         let value: serde_json::Value = serde_json::from_str(text).ok()?;
         let data = value["data"].as_str()?.to_owned();

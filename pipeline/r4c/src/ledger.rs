@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use rogs_files::fault_injection::{self, Operation};
+use rogs_schemas::ids::safe_name;
 use rogs_schemas::ledger::{Attempt, LEDGER_FOLDER, LOG_FILE};
 
 use crate::error::{Error, Result};
@@ -31,9 +32,10 @@ pub fn host() -> String {
         .ok()
         .or_else(|| std::env::var("HOSTNAME").ok())
         .unwrap_or_default();
-    let safe = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
-    let name: String = (name.trim().chars()).map(|c| if safe(c) { c } else { '_' }).collect();
-    if name.is_empty() { "host".to_owned() } else { name }
+    match name.trim() {
+        "" => "host".to_owned(),
+        name => safe_name(name),
+    }
 }
 
 /// Now, for [`Attempt::unix_ms`].
@@ -93,6 +95,7 @@ mod tests {
     use std::collections::BTreeMap;
 
     use rogs_schemas::CacheKey;
+    use rogs_schemas::ids::safe_name;
     use rogs_schemas::ledger::{Failure, Outcome};
     use rogs_schemas::protocol::FailureCode;
 

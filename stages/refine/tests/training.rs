@@ -184,11 +184,7 @@ fn the_gradient_of_every_term_agrees_with_finite_differences() {
         let parameter = &trained.memory()[name].values;
         let gradient = to_host(parameter.grad(&gradients).unwrap()).unwrap();
         let values = to_host(parameter.clone()).unwrap();
-        let norm = gradient
-            .iter()
-            .map(|&g| f64::from(g) * f64::from(g))
-            .sum::<f64>()
-            .sqrt();
+        let norm = norm_of(&gradient);
         assert!(norm > 0.0, "{term} has no gradient");
         // Robot positions differ by a millimetre, so their absolute values have their kinks close by.
         let length = if term == "robot" { 0.002 } else { 0.03 };
@@ -209,6 +205,10 @@ fn the_gradient_of_every_term_agrees_with_finite_differences() {
         }
     }
     assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+fn norm_of(values: &[f32]) -> f64 {
+    values.iter().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>().sqrt()
 }
 
 #[test]
@@ -250,12 +250,8 @@ fn the_gradient_of_one_update_agrees_with_finite_differences_of_the_objective() 
         let gradient = to_host(parameter.grad(&gradients).unwrap()).unwrap();
         let values = to_host(parameter.clone()).unwrap();
         // Along the gradient: the largest slope there is, so that f32 renders resolve it.
-        let norm = gradient
-            .iter()
-            .map(|&g| f64::from(g) * f64::from(g))
-            .sum::<f64>()
-            .sqrt();
-        let step = 0.02 * (values.iter().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>().sqrt() + 0.1);
+        let norm = norm_of(&gradient);
+        let step = 0.02 * (norm_of(&values) + 0.1);
         let moved = |sign: f64| {
             values
                 .iter()

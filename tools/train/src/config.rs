@@ -7,6 +7,7 @@ use burn::tensor::Device;
 use rogs_lift::ProductPrecision;
 use rogs_stage1::Stage1Config;
 use rogs_tensors::device;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
@@ -281,11 +282,12 @@ impl Stage1Training {
     /// # Errors
     /// With line and column where the file cannot be understood, or the setting that is out of range.
     pub fn read(path: &Path) -> Result<Self> {
-        let mut settings: Self = read_toml(path)?;
-        let folder = path.parent().unwrap_or(Path::new("."));
-        for file in [&mut settings.start, &mut settings.lpips].into_iter().flatten() {
-            *file = absolute(&folder.join(&*file))?;
-        }
+        let settings = read_toml(path, |settings: &mut Self| {
+            [&mut settings.start, &mut settings.lpips]
+                .into_iter()
+                .flatten()
+                .collect()
+        })?;
         settings.check()?;
         Ok(settings)
     }
@@ -419,21 +421,24 @@ pub(crate) fn check_precision(precision: ProductPrecision, device: &Device) -> R
     Ok(())
 }
 
-/// A path that still holds when the settings lie in a run's folder.
-pub(crate) fn absolute(path: &Path) -> Result<PathBuf> {
-    std::path::absolute(path).map_err(Error::io(path))
-}
-
-/// Settings of a TOML file.
-pub(crate) fn read_toml<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T> {
+/// Settings of a TOML file. Relative ones of the paths that they hold are taken from the file's folder and made absolute,
+/// so that they still hold when the settings lie in a run's folder.
+pub(crate) fn read_toml<T: DeserializeOwned>(path: &Path, paths: fn(&mut T) -> Vec<&mut PathBuf>) -> Result<T> {
     let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
-    toml::from_str(&text).map_err(|error| Error::Configuration {
+    let mut settings = toml::from_str(&text).map_err(|error| Error::Configuration {
         path: path.to_owned(),
         reason: error.to_string(),
-    })
+    })?;
+    let folder = path.parent().unwrap_or(Path::new("."));
+    for named in paths(&mut settings) {
+        let joined = folder.join(&*named);
+        *named = std::path::absolute(&joined).map_err(Error::io(&joined))?;
+    }
+    Ok(settings)
 }
 
-/// When a run writes and scores.
+/// When a run writes and scores. Every kind of settings holds these three numbers itself: serde cannot flatten a struct into
+/// one that refuses unknown names.
 #[derive(Debug, Clone, Copy)]
 pub struct Cadence {
     /// Updates of the whole schedule.

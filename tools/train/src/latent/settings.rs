@@ -122,12 +122,10 @@ impl LatentTraining {
     /// # Errors
     /// As [`crate::Stage1Training::read`].
     pub fn read(path: &Path) -> Result<Self> {
-        let mut settings: Self = config::read_toml(path)?;
-        let folder = path.parent().unwrap_or(Path::new("."));
-        let places = [&mut settings.lift, &mut settings.run, &mut settings.latents];
-        for place in places.into_iter().chain(settings.start.as_mut()) {
-            *place = config::absolute(&folder.join(&*place))?;
-        }
+        let settings = config::read_toml(path, |settings: &mut Self| {
+            let places = [&mut settings.lift, &mut settings.run, &mut settings.latents];
+            places.into_iter().chain(settings.start.as_mut()).collect()
+        })?;
         settings.check()?;
         Ok(settings)
     }

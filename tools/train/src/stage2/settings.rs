@@ -89,12 +89,10 @@ impl Stage2Training {
     /// # Errors
     /// As [`crate::Stage1Training::read`].
     pub fn read(path: &Path) -> Result<Self> {
-        let mut settings: Self = config::read_toml(path)?;
-        let folder = path.parent().unwrap_or(Path::new("."));
-        settings.lift = config::absolute(&folder.join(&settings.lift))?;
-        for file in [&mut settings.start, &mut settings.lpips].into_iter().flatten() {
-            *file = config::absolute(&folder.join(&*file))?;
-        }
+        let settings = config::read_toml(path, |settings: &mut Self| {
+            let given = [&mut settings.start, &mut settings.lpips].into_iter().flatten();
+            given.chain([&mut settings.lift]).collect()
+        })?;
         settings.check()?;
         Ok(settings)
     }
