@@ -95,7 +95,6 @@ mod tests {
     use std::collections::BTreeMap;
 
     use rogs_schemas::CacheKey;
-    use rogs_schemas::ids::safe_name;
     use rogs_schemas::ledger::{Failure, Outcome};
     use rogs_schemas::protocol::FailureCode;
 
