@@ -24,6 +24,7 @@ mod pinhole;
 mod pose;
 mod posed;
 mod rotation;
+mod scale;
 mod similarity;
 
 pub use actions::{Action, actions, follow, tool_pose};
@@ -36,4 +37,5 @@ pub use rotation::{
     euler_xyz_from_rotation, largest_component_quaternion, non_negative, quaternion, quaternion_product,
     rotation_about_axis, rotation_from_euler_xyz, wxyz_f32,
 };
+pub use scale::{UnitFactor, unit_factor};
 pub use similarity::Similarity;

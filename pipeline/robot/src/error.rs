@@ -38,9 +38,9 @@ pub enum Error {
     /// A file reference that leads out of the robot's folder or to nothing.
     #[error("file reference `{reference}`: {what}")]
     Reference {
-        /// The reference as written in the file.
+        /// The reference as written in the file, or the path of a file that is too large.
         reference: String,
-        /// What is wrong.
+        /// What is wrong, and what to do.
         what: String,
     },
     /// A name that the robot does not have.
@@ -88,5 +88,11 @@ impl Error {
             source = cause.source();
         }
         message
+    }
+}
+
+impl From<rogs_robot_files::ReferenceError> for Error {
+    fn from(rogs_robot_files::ReferenceError { reference, what }: rogs_robot_files::ReferenceError) -> Self {
+        Self::Reference { reference, what }
     }
 }

@@ -18,6 +18,6 @@ pub mod outline;
 pub mod raster;
 
 pub use error::{Error, Result};
-pub use mesh::Mesh;
+pub use mesh::{Mesh, MeshFile};
 pub use model::{JointState, RobotModel};
 pub use raster::{MeshImage, MeshScene, RenderOptions};

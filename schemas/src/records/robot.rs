@@ -68,6 +68,19 @@ pub struct RobotSpec {
     pub exclude_links: Vec<String>,
     /// Links (same patterns) whose collision geometry is the anchor mesh; all others use visual geometry.
     pub collision_links: Vec<String>,
+    /// Axes of mesh files: as robot viewers take them, or as the standards of the formats say.
+    pub mesh_axes: MeshAxes,
+}
+
+/// Whose rule says which way is up in a mesh file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum MeshAxes {
+    /// That of robot viewers: numbers are in the link's frame, whatever axis COLLADA or glTF call up.
+    #[default]
+    Viewers,
+    /// That of the formats: the axis that COLLADA names, or y in glTF, becomes the link's z.
+    Standard,
 }
 
 impl Default for RobotSpec {
@@ -82,6 +95,7 @@ impl Default for RobotSpec {
             tool_offset_m: [0.0, 0.0, 0.12],
             exclude_links: vec!["*_sc".into(), "camera_mount_link".into()],
             collision_links: vec!["panda_link*".into()],
+            mesh_axes: MeshAxes::Viewers,
         }
     }
 }

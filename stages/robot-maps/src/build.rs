@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use rayon::prelude::*;
-use rogs_geometry::{Base, Camera, Link, Pinhole, Pose};
+use rogs_geometry::{Base, Camera, Link, Pinhole, Pose, unit_factor};
+use rogs_robot::model::JointKind;
 use rogs_robot::raster::Renderer;
 use rogs_robot::{JointState, MeshScene, RenderOptions, RobotModel};
 use rogs_schemas::records::clip::{CameraMount, Clip, ClipCamera};
@@ -49,6 +50,12 @@ impl Robot {
         })
     }
 
+    /// What the description and the meshes say that nothing here uses, or leave open.
+    pub fn notes(&self) -> impl Iterator<Item = String> + '_ {
+        let notes = self.model.notes.iter().chain(&self.scene.notes);
+        notes.map(|note| format!("robot `{}`: {note}", self.model.name))
+    }
+
     /// The kinematic model.
     #[must_use]
     pub fn model(&self) -> &RobotModel {
@@ -67,6 +74,7 @@ impl Robot {
 /// # Errors
 /// When joints, poses or cameras of the clip do not fit the robot.
 pub fn build(clip: &Clip, robot: &Robot, params: &Params, observer: &mut dyn Observer) -> StageResult<RobotMaps> {
+    robot.notes().for_each(|note| observer.warn(note));
     let states = joint_states(clip, robot, params)?;
     for warning in limit_warnings(&robot.model, &states) {
         observer.warn(warning);
@@ -91,6 +99,10 @@ pub fn build(clip: &Clip, robot: &Robot, params: &Params, observer: &mut dyn Obs
     let tool = base_from_link
         .iter()
         .flat_map(|links| links[robot.tool_link].point(tool_offset).to_array());
+    let maps = draw(clip, robot, params, &source_cameras, &base_from_camera, &base_from_link)?;
+    depth_warnings(clip, &maps)
+        .into_iter()
+        .for_each(|warning| observer.warn(warning));
     Ok(RobotMaps {
         clip_id: clip.clip_id.clone(),
         link_names: robot.model.link_names(),
@@ -100,7 +112,7 @@ pub fn build(clip: &Clip, robot: &Robot, params: &Params, observer: &mut dyn Obs
         tool_m: tool.collect(),
         height: clip.height,
         width: clip.width,
-        maps: draw(clip, robot, params, &source_cameras, &base_from_camera, &base_from_link)?,
+        maps,
     })
 }
 
@@ -132,8 +144,12 @@ fn limit_warnings(model: &RobotModel, states: &[JointState]) -> Vec<String> {
             .iter()
             .map(|excess| excess.value)
             .max_by(|a, b| beyond(*a).total_cmp(&beyond(*b)))?;
-        let degrees = if worst.abs() > 7.0 {
-            "; are the values degrees instead of radians?"
+        // The farther limit, seen from 0: values of that many times its size have another unit.
+        let farther = lower.abs().max(upper.abs());
+        let degrees = if worst.abs() > 7.0 && model.joints[joint].kind == JointKind::Rotational {
+            "; are the values degrees instead of radians (`states.unit`)?"
+        } else if worst.abs() > 20.0 * farther && farther > 0.0 && model.joints[joint].kind == JointKind::Linear {
+            "; are the values millimetres instead of metres?"
         } else {
             ""
         };
@@ -221,6 +237,41 @@ fn draw(
         .par_iter()
         .map_init(|| Renderer::new(&robot.scene), draw_view)
         .collect()
+}
+
+/// Cameras whose reference depth of the robot is some usual factor off its mesh depth: the depth has another unit.
+fn depth_warnings(clip: &Clip, maps: &[RobotMap]) -> Vec<String> {
+    /// Fewer pixels tell nothing.
+    const ENOUGH: usize = 20;
+    let pixels = clip.height as usize * clip.width as usize;
+    let warning = |index: u32| {
+        let camera = &clip.cameras[index as usize];
+        let reference = camera.depth.as_ref()?;
+        let of_camera = maps.iter().filter(|map| map.camera == index);
+        let mut ratios: Vec<f64> = of_camera
+            .flat_map(|map| {
+                let depth_m = &reference.depth_m[map.frame as usize * pixels..][..pixels];
+                let supported = map.support.iter().zip(&map.depth_m).zip(depth_m);
+                supported
+                    .filter(|((support, mesh), depth)| **support == 1 && **mesh > 0.0 && depth.is_finite())
+                    .map(|((_, mesh), depth)| f64::from(*depth) / f64::from(*mesh))
+            })
+            .collect();
+        if ratios.len() < ENOUGH {
+            return None;
+        }
+        let middle = ratios.len() / 2;
+        let (_, &mut median, _) = ratios.select_nth_unstable_by(middle, f64::total_cmp);
+        let found = unit_factor(median)?;
+        Some(format!(
+            "camera `{}`: its reference depth of the robot is {median:.4} times that of the robot's mesh (median of {} \
+             pixels): {}? `unit_m` beside the depth's `path` states its unit",
+            camera.id,
+            ratios.len(),
+            found.meaning
+        ))
+    };
+    clip.source_cameras().into_iter().filter_map(warning).collect()
 }
 
 fn bad_input(error: rogs_robot::Error) -> StageError {

@@ -24,7 +24,7 @@ pub struct RobotMapsStage {
 impl Stage for RobotMapsStage {
     const NAME: &'static str = "robot-maps";
     const SUMMARY: &'static str = "Draws the robot's mesh into every source camera: depth, link ids, support, poses.";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const OUTPUT: SchemaId = RobotMaps::SCHEMA;
     type Params = Params;
 

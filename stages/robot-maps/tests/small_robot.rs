@@ -6,7 +6,7 @@ use std::path::Path;
 
 use rogs_robot_maps::{Params, Robot, build};
 use rogs_schemas::key::{KeyMaterial, Provenance};
-use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, RobotStates};
+use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates};
 use rogs_schemas::records::robot::{NO_LINK, RobotMaps, RobotSpec};
 use rogs_schemas::{EpisodeFrame, FrameIndex, Intrinsics, RigidPose};
 use rogs_worker::{Observer, Unobserved};
@@ -40,6 +40,7 @@ fn params() -> Params {
         tool_offset_m: [0.0, 0.0, 0.05],
         exclude_links: Vec::new(),
         collision_links: Vec::new(),
+        ..RobotSpec::default()
     };
     Params {
         robot,
@@ -271,4 +272,57 @@ fn one_thread_and_many_give_the_same_maps() {
         pool.install(|| build(&clip, &robot, &params(), &mut Unobserved).unwrap())
     };
     assert_eq!(with(1), with(3));
+}
+
+#[test]
+fn reference_depth_in_another_unit_is_told_by_its_factor() {
+    let (maps, _) = build_it(&clip()).unwrap();
+    let pixels = (W * H) as usize;
+    for (factor, words) in [
+        (1.0, None),
+        (1.02, None),
+        (1000.0, Some("millimetres instead of metres")),
+        (0.001, Some("divided by 1000 once too often")),
+        (5.0, Some("5000 steps a metre")),
+        (10.0, Some("10000 steps a metre")),
+        (100.0, Some("centimetres")),
+    ] {
+        let mut clip = clip();
+        // The front camera's maps, each pixel as many times too far; nothing is known beside the robot.
+        let depth_m = maps.maps[FRAMES..].iter().flat_map(|map| &map.depth_m);
+        let depth_m = depth_m.map(|&depth| if depth > 0.0 { depth * factor } else { f32::NAN });
+        clip.cameras[1].depth = Some(DepthReference {
+            depth_m: depth_m.collect(),
+            range_m: [0.1, 5.0],
+        });
+        assert_eq!(
+            maps.maps[FRAMES..].len() * pixels,
+            clip.cameras[1].depth.as_ref().unwrap().depth_m.len()
+        );
+        let (_, warnings) = build_it(&clip).unwrap();
+        match words {
+            None => assert!(warnings.is_empty(), "{warnings:?}"),
+            Some(words) => assert!(
+                warnings.len() == 1 && warnings[0].contains("`front`") && warnings[0].contains(words),
+                "{factor}: {warnings:?}"
+            ),
+        }
+    }
+}
+
+#[test]
+fn what_a_robot_leaves_open_is_told_for_every_clip() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("boxes.urdf");
+    std::fs::write(&path, URDF.replacen("<link", "<unheard_of/><link", 1)).unwrap();
+    let robot = Robot::load(&path, &params()).unwrap();
+    for _ in 0..2 {
+        let mut warnings = Warnings::default();
+        build(&clip(), &robot, &params(), &mut warnings).unwrap();
+        assert!(
+            warnings.0.len() == 1 && warnings.0[0].contains("`unheard_of`"),
+            "{:?}",
+            warnings.0
+        );
+    }
 }

@@ -1,12 +1,15 @@
-//! COLLADA (`.dae`): triangles, polylists and polygons of the visual scene, converted to metres and z up.
+//! COLLADA (`.dae`): triangles, polylists, polygons, strips and fans of the visual scene, converted to metres.
 
 use std::collections::BTreeMap;
 
 use glam::{DAffine3, DMat3, DMat4, DVec3};
-use roxmltree::{Document, Node, ParsingOptions};
+use rogs_schemas::records::robot::MeshAxes;
+use roxmltree::Node;
 
-use super::{MAX_TRIANGLES, Mesh, Parsed, fan};
-use crate::model::guard::{XmlLimits, check_xml};
+use super::axes::{self, Up};
+use super::{MAX_TRIANGLES, Mesh, MeshFile, Parsed, fan, strip};
+use crate::model::guard::XmlLimits;
+use crate::model::xml::{child, is, text_of, with_root};
 
 const LIMITS: XmlLimits = XmlLimits {
     depth: 64,
@@ -17,58 +20,39 @@ const LIMITS: XmlLimits = XmlLimits {
 const MAX_INSTANCES: usize = 20_000;
 const MAX_DEPTH: usize = 64;
 
-pub(super) fn parse(bytes: &[u8]) -> Parsed<Mesh> {
-    let text = std::str::from_utf8(bytes).map_err(|_| "it is not UTF-8 text".to_owned())?;
-    let text = text.trim_start_matches('\u{feff}');
-    check_xml(text, LIMITS)?;
-    let options = ParsingOptions {
-        allow_dtd: false,
-        nodes_limit: 4_000_000,
-        ..ParsingOptions::default()
-    };
-    let document = Document::parse_with_options(text, options).map_err(|error| format!("no XML: {error}"))?;
-    let root = document.root_element();
+pub(super) fn parse(bytes: &[u8], axes: MeshAxes) -> Parsed<MeshFile> {
+    with_root(&text_of(bytes)?, LIMITS, |root| scene(root, axes))
+}
+
+fn scene(root: Node<'_, '_>, axes: MeshAxes) -> Parsed<MeshFile> {
     if root.tag_name().name() != "COLLADA" {
         return Err(format!("its root element is `{}`, not COLLADA", root.tag_name().name()));
     }
     let mut reader = Reader::new(root);
-    let scene_from_file = asset_transform(root)?;
+    let (metres, up) = asset(root)?;
+    let (turn, note) = axes::turn(axes, up);
+    let scene_from_file = DAffine3::from_mat3(turn * DMat3::from_diagonal(DVec3::splat(metres)));
     match visual_scene(root, &reader.ids) {
         Some(scene) => reader.nodes(scene, scene_from_file, 0)?,
         None => {
-            let geometries: Vec<Node<'_, '_>> = root
-                .descendants()
-                .filter(|node| node.has_tag_name_local("geometry"))
-                .collect();
+            let geometries: Vec<Node<'_, '_>> = root.descendants().filter(|node| is(*node, "geometry")).collect();
             for geometry in geometries {
                 reader.geometry(geometry, scene_from_file)?;
             }
         }
     }
-    Ok(reader.mesh)
-}
-
-trait Local {
-    fn has_tag_name_local(&self, name: &str) -> bool;
-}
-
-impl Local for Node<'_, '_> {
-    /// COLLADA elements lie in a versioned namespace; only the local name counts.
-    fn has_tag_name_local(&self, name: &str) -> bool {
-        self.is_element() && self.tag_name().name() == name
-    }
-}
-
-fn child<'a, 'i>(node: Node<'a, 'i>, name: &str) -> Option<Node<'a, 'i>> {
-    node.children().find(|node| node.has_tag_name_local(name))
+    Ok(MeshFile {
+        mesh: reader.mesh,
+        notes: note.into_iter().collect(),
+    })
 }
 
 fn children<'a, 'i: 'a>(node: Node<'a, 'i>, name: &'a str) -> impl Iterator<Item = Node<'a, 'i>> {
-    node.children().filter(move |node| node.has_tag_name_local(name))
+    node.children().filter(move |node| is(*node, name))
 }
 
-/// Metres per file unit and the rotation to z up.
-fn asset_transform(root: Node<'_, '_>) -> Parsed<DAffine3> {
+/// Metres per file unit, and the axis that the file calls up.
+fn asset(root: Node<'_, '_>) -> Parsed<(f64, Up)> {
     let asset = child(root, "asset");
     let unit = asset
         .and_then(|asset| child(asset, "unit"))
@@ -85,16 +69,16 @@ fn asset_transform(root: Node<'_, '_>) -> Parsed<DAffine3> {
     let axis = asset
         .and_then(|asset| child(asset, "up_axis"))
         .and_then(|axis| axis.text())
-        .map_or("Y_UP", str::trim);
-    let to_z_up = match axis {
-        "Z_UP" => DMat3::IDENTITY,
-        "Y_UP" => DMat3::from_cols(DVec3::X, DVec3::Z, -DVec3::Y),
-        "X_UP" => DMat3::from_cols(DVec3::Z, DVec3::Y, -DVec3::X),
-        other => return Err(format!("its up axis is `{other}`")),
+        .map(str::trim);
+    let up = match axis {
+        // The standard's default, written by nobody.
+        None | Some("") => Up::Unsaid,
+        Some("Z_UP") => Up::Z,
+        Some("Y_UP") => Up::Y,
+        Some("X_UP") => Up::X,
+        Some(other) => return Err(format!("its up axis is `{other}`; known are X_UP, Y_UP, Z_UP")),
     };
-    Ok(DAffine3::from_mat3(
-        to_z_up * DMat3::from_diagonal(DVec3::splat(metres)),
-    ))
+    Ok((metres, up))
 }
 
 fn visual_scene<'a, 'i>(root: Node<'a, 'i>, ids: &BTreeMap<&'a str, Node<'a, 'i>>) -> Option<Node<'a, 'i>> {
@@ -132,10 +116,7 @@ impl<'a, 'i> Reader<'a, 'i> {
     }
 
     fn nodes(&mut self, parent: Node<'a, 'i>, scene_from_parent: DAffine3, depth: usize) -> Parsed<()> {
-        let nodes: Vec<Node<'a, 'i>> = parent
-            .children()
-            .filter(|node| node.has_tag_name_local("node"))
-            .collect();
+        let nodes: Vec<Node<'a, 'i>> = parent.children().filter(|node| is(*node, "node")).collect();
         for node in nodes {
             self.node(node, scene_from_parent, depth)?;
         }
@@ -158,7 +139,11 @@ impl<'a, 'i> Reader<'a, 'i> {
                     let instance = self.target(part, "url")?;
                     self.node(instance, scene_from_node, depth + 1)?;
                 }
-                "instance_controller" => return Err("skinned geometry is not supported".into()),
+                "instance_controller" => {
+                    return Err(
+                        "its geometry is skinned (`instance_controller`); apply the armature when you export it".into(),
+                    );
+                }
                 _ => {}
             }
         }
@@ -172,8 +157,9 @@ impl<'a, 'i> Reader<'a, 'i> {
         };
         for primitive in mesh.children().filter(Node::is_element) {
             match primitive.tag_name().name() {
-                "triangles" | "polylist" | "polygons" => self.primitive(primitive, scene_from_node)?,
-                "tristrips" | "trifans" => return Err("triangle strips and fans are not supported".into()),
+                "triangles" | "polylist" | "polygons" | "tristrips" | "trifans" => {
+                    self.primitive(primitive, scene_from_node)?;
+                }
                 _ => {}
             }
         }
@@ -203,6 +189,9 @@ impl<'a, 'i> Reader<'a, 'i> {
             _ => Vec::new(),
         };
         let mut sizes = sizes.into_iter();
+        if child(primitive, "ph").is_some() {
+            return Err("it has polygons with holes; triangulate the mesh when you export it".into());
+        }
         for indices in children(primitive, "p") {
             let corners = corners(&numbers::<u32>(indices)?, stride, offset, start, count)?;
             match primitive.tag_name().name() {
@@ -224,6 +213,7 @@ impl<'a, 'i> Reader<'a, 'i> {
                         rest = after;
                     }
                 }
+                "tristrips" => strip(&corners, &mut self.mesh.triangles),
                 _ => fan(&corners, &mut self.mesh.triangles),
             }
             if self.mesh.triangles.len() > MAX_TRIANGLES {
@@ -293,7 +283,11 @@ fn node_transform(node: Node<'_, '_>) -> Parsed<DAffine3> {
             "matrix" => 16,
             "translate" | "scale" => 3,
             "rotate" => 4,
-            "skew" | "lookat" => return Err(format!("the node transform `{name}` is not supported")),
+            "skew" | "lookat" => {
+                return Err(format!(
+                    "the node transform `{name}` is not read; export the mesh with matrices"
+                ));
+            }
             _ => continue,
         };
         let values = numbers::<f64>(part)?;
@@ -351,6 +345,10 @@ fn attribute_number(node: Node<'_, '_>, name: &str) -> Parsed<usize> {
 mod tests {
     use super::*;
 
+    fn parse(bytes: &[u8]) -> Parsed<Mesh> {
+        super::parse(bytes, MeshAxes::Viewers).map(|file| file.mesh)
+    }
+
     fn document(up: &str, node: &str, primitive: &str) -> String {
         format!(
             r##"<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
@@ -376,8 +374,17 @@ mod tests {
         let near = |a: [f32; 3], b: [f32; 3]| a.iter().zip(b).all(|(x, y)| (x - y).abs() < 1e-6);
         assert!(near(mesh.positions[1], [0.0, 2.0, 0.5]), "{:?}", mesh.positions);
         assert!(near(mesh.positions[3], [-2.0, 0.0, 0.5]), "{:?}", mesh.positions);
-        let y_up = parse(document("Y_UP", "", POLYLIST).as_bytes()).unwrap();
-        assert!(near(y_up.positions[2], [1.0, 0.0, 2.0]), "{:?}", y_up.positions);
+    }
+
+    #[test]
+    fn strips_and_fans() {
+        let input = r##"<input semantic="VERTEX" source="#v" offset="0"/>"##;
+        let triangles = |kind: &str| {
+            let primitive = format!("<{kind} count='1'>{input}<p>0 1 3 2</p></{kind}>");
+            parse(document("Z_UP", "", &primitive).as_bytes()).unwrap().triangles
+        };
+        assert_eq!(triangles("tristrips"), [[0, 1, 3], [3, 1, 2]]);
+        assert_eq!(triangles("trifans"), [[0, 1, 3], [0, 3, 2]]);
     }
 
     #[test]

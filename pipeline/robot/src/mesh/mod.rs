@@ -3,15 +3,20 @@
 //! Every reader bounds what it allocates by the size of the file, refuses indices out of range and coordinates that are
 //! not finite, and reads no other file than those in the robot's folder.
 
+mod axes;
 mod dae;
 mod gltf_file;
 mod obj;
 mod primitive;
+mod size;
 mod stl;
 
 use std::path::Path;
 
 use glam::DVec3;
+use rogs_schemas::records::robot::MeshAxes;
+
+pub use size::Sizes;
 
 use crate::error::{Error, Result};
 use crate::model::{Geometry, RobotFolder, Shape, read_capped};
@@ -30,6 +35,15 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
+/// A mesh file that was read.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct MeshFile {
+    /// Its triangles.
+    pub mesh: Mesh,
+    /// What it says that was left aside, for people.
+    pub notes: Vec<String>,
+}
+
 /// Message of a reader; the caller knows the path.
 type Parsed<T> = std::result::Result<T, String>;
 
@@ -38,36 +52,40 @@ impl Mesh {
     ///
     /// # Errors
     /// When a mesh file is missing, outside the robot's folder, damaged or of an unknown kind.
-    pub fn of_shape(shape: &Shape, folder: &RobotFolder) -> Result<Self> {
-        let (mut mesh, scale) = match &shape.geometry {
-            Geometry::Box { size } => (primitive::cuboid(*size), [1.0; 3]),
-            Geometry::Cylinder { radius, length } => (primitive::cylinder(*radius, *length), [1.0; 3]),
-            Geometry::Sphere { radius } => (primitive::sphere(*radius), [1.0; 3]),
-            Geometry::Mesh { reference, scale } => (Self::load(&folder.resolve(reference)?, folder)?, *scale),
+    pub fn of_shape(shape: &Shape, folder: &RobotFolder, axes: MeshAxes) -> Result<MeshFile> {
+        let plain = |mesh| MeshFile {
+            mesh,
+            notes: Vec::new(),
         };
-        for position in &mut mesh.positions {
+        let (mut file, scale) = match &shape.geometry {
+            Geometry::Box { size } => (plain(primitive::cuboid(*size)), [1.0; 3]),
+            Geometry::Cylinder { radius, length } => (plain(primitive::cylinder(*radius, *length)), [1.0; 3]),
+            Geometry::Capsule { radius, length } => (plain(primitive::capsule(*radius, *length)), [1.0; 3]),
+            Geometry::Sphere { radius } => (plain(primitive::sphere(*radius)), [1.0; 3]),
+            Geometry::Mesh { reference, scale } => (Self::load(&folder.resolve(reference)?, folder, axes)?, *scale),
+        };
+        for position in &mut file.mesh.positions {
             let scaled = DVec3::from_array(position.map(f64::from)) * DVec3::from_array(scale);
             *position = shape.link_from_shape.point(scaled).as_vec3().to_array();
         }
-        if let (Err(what), Geometry::Mesh { reference, .. }) = (mesh.check(), &shape.geometry) {
+        if let (Err(what), Geometry::Mesh { reference, .. }) = (file.mesh.check(), &shape.geometry) {
             return Err(Error::Mesh {
                 path: reference.into(),
                 what,
             });
         }
-        mesh.weld();
-        Ok(mesh)
+        file.mesh.weld();
+        Ok(file)
     }
 
     /// Reads a mesh file by the ending of its name: `.stl` (binary or text), `.dae`, `.obj`, `.gltf`, `.glb`.
     ///
-    /// Units and axes: STL and OBJ numbers are metres; DAE files are converted to metres and to z up as their asset
-    /// element says; glTF coordinates, after the node transforms, are taken as they are (no y-up rotation), as the
-    /// assimp-based URDF viewers do.
+    /// Units and axes: STL, OBJ and glTF numbers are metres, COLLADA says its unit. The axes are those of the link after
+    /// the transforms of the file's nodes, or with `MeshAxes::Standard` what the formats' standards call up becomes z.
     ///
     /// # Errors
     /// When the file cannot be read, is larger than [`MAX_FILE_BYTES`], is damaged or has an unknown ending.
-    pub fn load(path: &Path, folder: &RobotFolder) -> Result<Self> {
+    pub fn load(path: &Path, folder: &RobotFolder, axes: MeshAxes) -> Result<MeshFile> {
         let ending = path
             .extension()
             .map(|ending| ending.to_string_lossy().to_lowercase())
@@ -78,34 +96,45 @@ impl Mesh {
         };
         if !matches!(ending.as_str(), "stl" | "dae" | "obj" | "gltf" | "glb") {
             return Err(refuse(format!(
-                "files ending in `.{ending}` are not read; known are stl, dae, obj, gltf, glb"
+                "files ending in `.{ending}` are not read; convert it to one of stl, dae, obj, gltf, glb"
             )));
         }
         let bytes = read_capped(path, MAX_FILE_BYTES)?;
         let external = |reference: &str| {
-            let file = folder.resolve_beside(path, reference).map_err(|error| error.chain())?;
+            let file = folder
+                .resolve_beside(path, reference)
+                .map_err(|error| error.to_string())?;
             read_capped(&file, MAX_FILE_BYTES).map_err(|error| error.chain())
         };
-        Self::parse(&ending, &bytes, &external).map_err(refuse)
+        Self::parse(&ending, &bytes, axes, &external).map_err(refuse)
     }
 
     /// Reads the bytes of a mesh file whose name ends in `ending` (lower case); `external` reads the files it refers to.
     ///
     /// # Errors
     /// A message that says what is wrong.
-    pub fn parse(ending: &str, bytes: &[u8], external: &dyn Fn(&str) -> Parsed<Vec<u8>>) -> Parsed<Self> {
-        let mut mesh = match ending {
-            "stl" => stl::parse(bytes)?,
-            "obj" => obj::parse(bytes)?,
-            "dae" => dae::parse(bytes)?,
-            _ => gltf_file::parse(bytes, external)?,
+    pub fn parse(
+        ending: &str,
+        bytes: &[u8],
+        axes: MeshAxes,
+        external: &dyn Fn(&str) -> Parsed<Vec<u8>>,
+    ) -> Parsed<MeshFile> {
+        let plain = |mesh| MeshFile {
+            mesh,
+            notes: Vec::new(),
         };
-        mesh.check()?;
-        if mesh.triangles.is_empty() {
+        let mut file = match ending {
+            "stl" => plain(stl::parse(bytes)?),
+            "obj" => plain(obj::parse(bytes)?),
+            "dae" => dae::parse(bytes, axes)?,
+            _ => plain(gltf_file::parse(bytes, axes, external)?),
+        };
+        file.mesh.check()?;
+        if file.mesh.triangles.is_empty() {
             return Err("it has no triangles".into());
         }
-        mesh.weld();
-        Ok(mesh)
+        file.mesh.weld();
+        Ok(file)
     }
 
     /// Merges vertices with equal coordinates and drops unused ones. Order of triangles and their corners is kept, so
@@ -194,6 +223,16 @@ impl Mesh {
 fn fan(polygon: &[u32], triangles: &mut Vec<[u32; 3]>) {
     for pair in polygon.windows(2).skip(1) {
         triangles.push([polygon[0], pair[0], pair[1]]);
+    }
+}
+
+/// Splits a strip into triangles that turn the same way.
+fn strip(corners: &[u32], triangles: &mut Vec<[u32; 3]>) {
+    for (index, window) in corners.windows(3).enumerate() {
+        triangles.push(match index % 2 {
+            0 => [window[0], window[1], window[2]],
+            _ => [window[1], window[0], window[2]],
+        });
     }
 }
 

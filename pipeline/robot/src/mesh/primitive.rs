@@ -47,26 +47,42 @@ pub(super) fn cylinder(radius: f64, length: f64) -> Mesh {
 
 /// A sphere centred at the origin.
 pub(super) fn sphere(radius: f64) -> Mesh {
+    capsule(radius, 0.0)
+}
+
+/// A cylinder around z with half a sphere at each end, centred at the origin; `length` is that of the cylinder.
+pub(super) fn capsule(radius: f64, length: f64) -> Mesh {
     let bands = SEGMENTS / 2;
     let mut mesh = Mesh::default();
-    mesh.positions.push([0.0, 0.0, -radius as f32]);
-    for band in 1..bands {
-        let (sin, cos) = libm::sincos(std::f64::consts::PI * f64::from(band) / f64::from(bands));
-        mesh.positions
-            .extend((0..SEGMENTS).map(|step| ring(step, radius * sin, -radius * cos)));
+    let half = 0.5 * length;
+    // The rings from below to above; that of the equator is there twice where a cylinder lies between.
+    let mut rings: Vec<(f64, f64)> = (1..bands)
+        .map(|band| {
+            let (sin, cos) = libm::sincos(std::f64::consts::PI * f64::from(band) / f64::from(bands));
+            let shift = if 2 * band > bands { half } else { -half };
+            (radius * sin, -radius * cos + shift)
+        })
+        .collect();
+    if length > 0.0 {
+        rings.insert((bands / 2) as usize, (radius, half));
     }
-    mesh.positions.push([0.0, 0.0, radius as f32]);
-    let vertex = |band: u32, step: u32| 1 + (band - 1) * SEGMENTS + step % SEGMENTS;
-    let last = 1 + (bands - 1) * SEGMENTS;
+    mesh.positions.push([0.0, 0.0, (-radius - half) as f32]);
+    for &(around, z) in &rings {
+        mesh.positions.extend((0..SEGMENTS).map(|step| ring(step, around, z)));
+    }
+    mesh.positions.push([0.0, 0.0, (radius + half) as f32]);
+    let rings = rings.len() as u32;
+    let vertex = |ring: u32, step: u32| 1 + ring * SEGMENTS + step % SEGMENTS;
+    let last = 1 + rings * SEGMENTS;
     for step in 0..SEGMENTS {
-        mesh.triangles.push([0, vertex(1, step + 1), vertex(1, step)]);
-        for band in 1..bands - 1 {
-            let (a, b) = (vertex(band, step), vertex(band, step + 1));
-            let (c, d) = (vertex(band + 1, step), vertex(band + 1, step + 1));
+        mesh.triangles.push([0, vertex(0, step + 1), vertex(0, step)]);
+        for ring in 0..rings - 1 {
+            let (a, b) = (vertex(ring, step), vertex(ring, step + 1));
+            let (c, d) = (vertex(ring + 1, step), vertex(ring + 1, step + 1));
             mesh.triangles.extend([[a, b, d], [a, d, c]]);
         }
         mesh.triangles
-            .push([last, vertex(bands - 1, step), vertex(bands - 1, step + 1)]);
+            .push([last, vertex(rings - 1, step), vertex(rings - 1, step + 1)]);
     }
     mesh
 }
@@ -96,11 +112,14 @@ mod tests {
         let pi = std::f64::consts::PI;
         assert!((volume(&cylinder(0.5, 2.0)) / (pi * 0.5) - 1.0).abs() < 4e-3);
         assert!((volume(&sphere(0.5)) / (pi / 6.0) - 1.0).abs() < 8e-3);
+        assert!((volume(&capsule(0.5, 2.0)) / (pi * (0.5 + 1.0 / 6.0)) - 1.0).abs() < 8e-3);
+        let top = |mesh: &Mesh| mesh.positions.iter().map(|position| position[2]).fold(0.0, f32::max);
+        assert_eq!(top(&capsule(0.5, 2.0)), 1.5);
     }
 
     #[test]
     fn every_edge_has_two_faces() {
-        for mesh in [cuboid([1.0; 3]), cylinder(1.0, 1.0), sphere(1.0)] {
+        for mesh in [cuboid([1.0; 3]), cylinder(1.0, 1.0), sphere(1.0), capsule(1.0, 1.0)] {
             let mut edges: Vec<(u32, u32)> = mesh
                 .triangles
                 .iter()

@@ -1,8 +1,9 @@
 //! Joint states and forward kinematics of one state, in f64.
 
-use rogs_geometry::{Base, Link, Pose, rotation_about_axis};
+use rogs_geometry::{Base, Link, Pose};
 use rogs_schemas::records::robot::RobotSpec;
 
+use super::load::motion;
 use super::{JointKind, RobotModel};
 use crate::error::{Error, Result};
 
@@ -117,11 +118,7 @@ impl RobotModel {
     pub fn fk(&self, state: &JointState) -> Vec<Pose<Base, Link>> {
         let mut root_from_link = vec![Pose::IDENTITY; self.links.len()];
         for (joint, &value) in self.joints.iter().zip(&state.values) {
-            let origin_from_child = match joint.kind {
-                JointKind::Fixed => Pose::IDENTITY,
-                JointKind::Rotational => Pose::new(rotation_about_axis(joint.axis, value), glam::DVec3::ZERO),
-                JointKind::Linear => Pose::new(glam::DMat3::IDENTITY, joint.axis * value),
-            };
+            let origin_from_child = motion(joint.kind, joint.axis, value);
             let parent: Pose<Base, Link> = root_from_link[joint.parent];
             root_from_link[joint.child] = parent * joint.parent_from_origin * origin_from_child;
         }

@@ -1,7 +1,7 @@
 //! A look over an XML text before any parser sees it.
 //!
-//! The XML readers below `urdf-rs` recurse into nested elements and compare attributes pairwise (RUSTSEC-2026-0194,
-//! -0195). This scan bounds depth, attributes and elements, and refuses document type declarations, so that no entity
+//! XML readers recurse into nested elements and compare attributes pairwise (as RUSTSEC-2026-0194 and -0195 tell). This
+//! scan bounds depth, attributes and elements, and refuses document type declarations, so that no entity
 //! can be defined.
 
 /// Bounds of an XML text.

@@ -4,57 +4,57 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use glam::DVec3;
-use rogs_geometry::{Link, Pose};
+use rogs_geometry::{Link, Pose, rotation_about_axis};
 
-use super::guard::{XmlLimits, check_xml};
-use super::{Geometry, Joint, JointKind, Mimic, RobotFolder, RobotLink, RobotModel, Shape, read_capped};
+use super::known::Notes;
+use super::urdf::{Checked, Description, JointElement, JointType, parse};
+use super::{Joint, JointKind, Mimic, RobotFolder, RobotLink, RobotModel, read_capped, xml};
 use crate::error::{Error, Result};
 
-const MAX_BYTES: u64 = 1 << 20;
-const LIMITS: XmlLimits = XmlLimits {
-    depth: 24,
-    attributes: 24,
-    elements: 40_000,
-};
+const MAX_BYTES: u64 = 4 << 20;
 /// 255 stands for "no link" in maps.
 const MAX_LINKS: usize = 255;
 
 pub(super) fn load(path: &Path) -> Result<RobotModel> {
     let bytes = read_capped(path, MAX_BYTES)?;
-    let refuse = |what: String| Error::Urdf {
+    let model = xml::text_of(&bytes).and_then(|text| model(&text));
+    let (description, root_link, joints) = model.map_err(|what| Error::Urdf {
         path: path.to_owned(),
         what,
+    })?;
+    let folder = RobotFolder::of_urdf(path).map_err(|source| Error::Io {
+        action: "opening",
+        path: path.to_owned(),
+        source,
+    })?;
+    let link = |link: super::urdf::LinkElement| RobotLink {
+        name: link.name,
+        visual: link.visual,
+        collision: link.collision,
     };
-    let text = std::str::from_utf8(&bytes).map_err(|_| refuse("the file is not UTF-8 text".into()))?;
-    check_xml(text, LIMITS).map_err(refuse)?;
-    let robot = urdf_rs::read_from_string(text).map_err(|error| refuse(format!("no URDF: {error}")))?;
-    let root_link = check_tree(&robot).map_err(refuse)?;
-    let links = robot
-        .links
-        .iter()
-        .map(link)
-        .collect::<std::result::Result<Vec<_>, _>>()
-        .map_err(refuse)?;
-    let joints = joints(&robot, root_link).map_err(refuse)?;
-    let folder = RobotFolder::of_urdf(path)?;
     Ok(RobotModel {
-        name: robot.name,
+        name: description.name,
         path: path.to_owned(),
         folder,
-        links,
+        notes: description.notes.lines(),
+        links: description.links.into_iter().map(link).collect(),
         joints,
         root_link,
         base_link: root_link,
     })
 }
 
-type Checked<T> = std::result::Result<T, String>;
+fn model(text: &str) -> Checked<(Description, usize, Vec<Joint>)> {
+    let mut description = parse(text)?;
+    let mut notes = std::mem::take(&mut description.notes);
+    let root_link = check_tree(&description)?;
+    let joints = joints(&description, root_link, &mut notes)?;
+    description.notes = notes;
+    Ok((description, root_link, joints))
+}
 
 /// Checks names and tree shape and returns the index of the root link.
-fn check_tree(robot: &urdf_rs::Robot) -> Checked<usize> {
-    if robot.links.is_empty() {
-        return Err("it has no link".into());
-    }
+fn check_tree(robot: &Description) -> Checked<usize> {
     if robot.links.len() > MAX_LINKS {
         return Err(format!(
             "it has {} links, at most {MAX_LINKS} are supported",
@@ -64,23 +64,26 @@ fn check_tree(robot: &urdf_rs::Robot) -> Checked<usize> {
     let mut ids = BTreeMap::new();
     for (id, link) in robot.links.iter().enumerate() {
         if ids.insert(link.name.as_str(), id).is_some() {
-            return Err(format!("two links are called `{}`", link.name));
+            return Err(format!("line {}: two links are called `{}`", link.line, link.name));
         }
     }
     let mut joint_names = BTreeSet::new();
     let mut parent_of = vec![None; robot.links.len()];
     for joint in &robot.joints {
         if !joint_names.insert(joint.name.as_str()) {
-            return Err(format!("two joints are called `{}`", joint.name));
+            return Err(format!("line {}: two joints are called `{}`", joint.line, joint.name));
         }
         let end = |role: &str, name: &str| {
             ids.get(name)
                 .copied()
-                .ok_or_else(|| format!("joint `{}`: its {role} link `{name}` does not exist", joint.name))
+                .ok_or_else(|| format!("{}: its {role} link `{name}` does not exist", joint.place()))
         };
-        let (parent, child) = (end("parent", &joint.parent.link)?, end("child", &joint.child.link)?);
+        let (parent, child) = (end("parent", &joint.parent)?, end("child", &joint.child)?);
         if parent_of[child].replace(parent).is_some() {
-            return Err(format!("link `{}` is the child of two joints", joint.child.link));
+            return Err(format!(
+                "line {}: link `{}` is the child of two joints",
+                joint.line, joint.child
+            ));
         }
     }
     let roots: Vec<usize> = (0..robot.links.len()).filter(|&id| parent_of[id].is_none()).collect();
@@ -89,7 +92,7 @@ fn check_tree(robot: &urdf_rs::Robot) -> Checked<usize> {
         return Err(match names.as_slice() {
             [] => "the links form a cycle: every link has a parent".into(),
             _ => format!(
-                "it has {} root links ({}), one is needed",
+                "it has {} root links ({}), one is needed: connect them by joints, for example fixed ones",
                 roots.len(),
                 names.join(", ")
             ),
@@ -107,85 +110,13 @@ fn check_tree(robot: &urdf_rs::Robot) -> Checked<usize> {
     Ok(root)
 }
 
-fn link(link: &urdf_rs::Link) -> Checked<RobotLink> {
-    let shape = |origin: &urdf_rs::Pose, geometry: &urdf_rs::Geometry| {
-        let place = format!("link `{}`", link.name);
-        Ok::<_, String>(Shape {
-            link_from_shape: pose(origin, &place)?,
-            geometry: checked_geometry(geometry, &place)?,
-        })
-    };
-    Ok(RobotLink {
-        name: link.name.clone(),
-        visual: link
-            .visual
-            .iter()
-            .map(|item| shape(&item.origin, &item.geometry))
-            .collect::<Checked<_>>()?,
-        collision: link
-            .collision
-            .iter()
-            .map(|item| shape(&item.origin, &item.geometry))
-            .collect::<Checked<_>>()?,
-    })
-}
-
-fn checked_geometry(geometry: &urdf_rs::Geometry, place: &str) -> Checked<Geometry> {
-    let positive = |what: &str, value: f64| {
-        let good = value.is_finite() && value > 0.0 && value < 1e6;
-        if good {
-            Ok(value)
-        } else {
-            Err(format!("{place}: {what} is {value}, it must be a positive length"))
-        }
-    };
-    Ok(match geometry {
-        urdf_rs::Geometry::Box { size } => {
-            let sides = size.0;
-            Geometry::Box {
-                size: [
-                    positive("a box side", sides[0])?,
-                    positive("a box side", sides[1])?,
-                    positive("a box side", sides[2])?,
-                ],
-            }
-        }
-        urdf_rs::Geometry::Cylinder { radius, length } => Geometry::Cylinder {
-            radius: positive("a radius", *radius)?,
-            length: positive("a length", *length)?,
-        },
-        urdf_rs::Geometry::Sphere { radius } => Geometry::Sphere {
-            radius: positive("a radius", *radius)?,
-        },
-        urdf_rs::Geometry::Capsule { .. } => return Err(format!("{place}: capsules are not supported")),
-        urdf_rs::Geometry::Mesh { filename, scale } => {
-            let scale = scale.map_or([1.0; 3], |scale| scale.0);
-            if !scale.iter().all(|factor| factor.is_finite() && *factor != 0.0) {
-                return Err(format!("{place}: mesh scale is {scale:?}"));
-            }
-            Geometry::Mesh {
-                reference: filename.clone(),
-                scale,
-            }
-        }
-    })
-}
-
-fn pose(origin: &urdf_rs::Pose, place: &str) -> Checked<Pose<Link, Link>> {
-    let (xyz, rpy) = (origin.xyz.0, origin.rpy.0);
-    if !xyz.iter().chain(&rpy).all(|value| value.is_finite()) {
-        return Err(format!("{place}: its origin has a number that is not finite"));
-    }
-    Ok(Pose::from_xyz_euler(xyz, rpy))
-}
-
 /// The joints depth first from the root link, so that parents come before their children; those of one link in the order
 /// of the file. In a checked tree these are all joints.
-fn depth_first(robot: &urdf_rs::Robot, root_link: usize) -> Vec<&urdf_rs::Joint> {
-    let mut joints_of: BTreeMap<&str, Vec<&urdf_rs::Joint>> = BTreeMap::new();
+fn depth_first(robot: &Description, root_link: usize) -> Vec<&JointElement> {
+    let mut joints_of: BTreeMap<&str, Vec<&JointElement>> = BTreeMap::new();
     // The last joint of a list is taken first.
     for joint in robot.joints.iter().rev() {
-        joints_of.entry(&joint.parent.link).or_default().push(joint);
+        joints_of.entry(&joint.parent).or_default().push(joint);
     }
     let mut open = joints_of
         .remove(robot.links[root_link].name.as_str())
@@ -193,149 +124,204 @@ fn depth_first(robot: &urdf_rs::Robot, root_link: usize) -> Vec<&urdf_rs::Joint>
     let mut order = Vec::with_capacity(robot.joints.len());
     while let Some(joint) = open.pop() {
         order.push(joint);
-        open.extend(joints_of.remove(joint.child.link.as_str()).unwrap_or_default());
+        open.extend(joints_of.remove(joint.child.as_str()).unwrap_or_default());
     }
     order
 }
 
 /// The joints of a checked tree, parents first.
-fn joints(robot: &urdf_rs::Robot, root_link: usize) -> Checked<Vec<Joint>> {
+fn joints(robot: &Description, root_link: usize, notes: &mut Notes) -> Checked<Vec<Joint>> {
     let id_of: BTreeMap<&str, usize> = robot
         .links
         .iter()
         .enumerate()
         .map(|(id, link)| (link.name.as_str(), id))
         .collect();
-    let by_name: BTreeMap<&str, &urdf_rs::Joint> =
+    let by_name: BTreeMap<&str, &JointElement> =
         robot.joints.iter().map(|joint| (joint.name.as_str(), joint)).collect();
-    check_mimics(&by_name)?;
-    robot.joints.iter().try_for_each(check_limits)?;
     let order = depth_first(robot, root_link);
     let index_of: BTreeMap<&str, usize> = order
         .iter()
         .enumerate()
         .map(|(index, joint)| (joint.name.as_str(), index))
         .collect();
-    let convert = |source: &&urdf_rs::Joint| {
+    let mut convert = |source: &&JointElement| {
         let source = *source;
-        let place = format!("joint `{}`", source.name);
-        let kind = joint_kind(source)?;
-        Ok(Joint {
+        let kind = joint_kind(source, notes);
+        let axis = joint_axis(source, kind)?;
+        let mut joint = Joint {
             name: source.name.clone(),
             kind,
-            parent: id_of[source.parent.link.as_str()],
-            child: id_of[source.child.link.as_str()],
-            parent_from_origin: pose(&source.origin, &place)?,
-            axis: joint_axis(source, kind)?,
-            limits: joint_limits(source)?,
-            mimic: resolve_mimic(source, &by_name).map(|(driver, multiplier, offset)| Mimic {
-                driver: index_of[driver],
-                multiplier,
-                offset,
-            }),
-        })
+            parent: id_of[source.parent.as_str()],
+            child: id_of[source.child.as_str()],
+            parent_from_origin: source.parent_from_origin,
+            axis,
+            limits: joint_limits(source, kind, notes)?,
+            mimic: None,
+        };
+        match follow(source, kind, &by_name, notes)? {
+            Follows::Nothing => {}
+            Follows::Joint(driver, multiplier, offset) => {
+                joint.mimic = Some(Mimic {
+                    driver: index_of[driver],
+                    multiplier,
+                    offset,
+                });
+            }
+            Follows::Constant(value) => {
+                joint.parent_from_origin = joint.parent_from_origin * motion(kind, axis, value);
+                (joint.kind, joint.limits) = (JointKind::Fixed, None);
+            }
+        }
+        Ok(joint)
     };
-    order.iter().map(convert).collect()
+    order.iter().map(&mut convert).collect()
 }
 
-fn joint_kind(joint: &urdf_rs::Joint) -> Checked<JointKind> {
-    match joint.joint_type {
-        urdf_rs::JointType::Fixed => Ok(JointKind::Fixed),
-        urdf_rs::JointType::Revolute | urdf_rs::JointType::Continuous => Ok(JointKind::Rotational),
-        urdf_rs::JointType::Prismatic => Ok(JointKind::Linear),
-        ref other => Err(format!("joint `{}`: type {other:?} is not supported", joint.name)),
+/// The motion of a joint at a value.
+pub(super) fn motion(kind: JointKind, axis: DVec3, value: f64) -> Pose<Link, Link> {
+    match kind {
+        JointKind::Fixed => Pose::IDENTITY,
+        JointKind::Rotational => Pose::new(rotation_about_axis(axis, value), DVec3::ZERO),
+        JointKind::Linear => Pose::new(glam::DMat3::IDENTITY, axis * value),
     }
 }
 
-fn joint_axis(joint: &urdf_rs::Joint, kind: JointKind) -> Checked<DVec3> {
-    let axis = DVec3::from_array(joint.axis.xyz.0);
+fn joint_kind(joint: &JointElement, notes: &mut Notes) -> JointKind {
+    let held = |notes: &mut Notes, kind: &str| {
+        notes.add(
+            joint.place(),
+            format!("a {kind} joint is not moved: its link stays at the joint's origin"),
+        );
+        JointKind::Fixed
+    };
+    match joint.kind {
+        JointType::Fixed => JointKind::Fixed,
+        JointType::Revolute | JointType::Continuous => JointKind::Rotational,
+        JointType::Prismatic => JointKind::Linear,
+        JointType::Floating => held(notes, "floating"),
+        JointType::Planar => held(notes, "planar"),
+    }
+}
+
+fn joint_axis(joint: &JointElement, kind: JointKind) -> Checked<DVec3> {
     if kind == JointKind::Fixed {
         return Ok(DVec3::X);
     }
+    let axis = DVec3::from_array(joint.axis);
     let length = axis.length();
     if !(1e-6..1e6).contains(&length) {
-        return Err(format!(
-            "joint `{}`: its axis {:?} has no direction",
-            joint.name, joint.axis.xyz.0
-        ));
+        return Err(format!("{}: its axis {:?} has no direction", joint.place(), joint.axis));
     }
     Ok(axis / length)
 }
 
-fn check_limits(joint: &urdf_rs::Joint) -> Checked<()> {
-    let urdf_rs::JointLimit { lower, upper, .. } = joint.limit;
-    if !lower.is_finite() || !upper.is_finite() {
-        return Err(format!("joint `{}`: its limits are not finite", joint.name));
-    }
-    if lower > upper {
-        return Err(format!(
-            "joint `{}`: its limits are reversed, from {lower} to {upper}",
-            joint.name
-        ));
-    }
-    Ok(())
-}
-
-/// The limits of a joint that must have some; they were checked before.
-fn joint_limits(joint: &urdf_rs::Joint) -> Checked<Option<[f64; 2]>> {
-    if !matches!(
-        joint.joint_type,
-        urdf_rs::JointType::Revolute | urdf_rs::JointType::Prismatic
-    ) {
+/// The limits of a joint. Of two limits one that is not written is 0, as the standard says; where neither is, none are
+/// known: only a mimic joint and one that turns without end may do so unnoted.
+fn joint_limits(joint: &JointElement, kind: JointKind, notes: &mut Notes) -> Checked<Option<[f64; 2]>> {
+    if kind == JointKind::Fixed || joint.kind == JointType::Continuous {
         return Ok(None);
     }
-    let urdf_rs::JointLimit { lower, upper, .. } = joint.limit;
-    if lower == upper {
+    let (lower, upper) = match joint.limit {
+        Some(limit) if limit.lower.is_some() || limit.upper.is_some() => {
+            (limit.lower.unwrap_or(0.0), limit.upper.unwrap_or(0.0))
+        }
+        _ => {
+            if joint.mimic.is_none() {
+                notes.add(
+                    joint.place(),
+                    "no `lower` and `upper` limit is given: its values are not compared with any",
+                );
+            }
+            return Ok(None);
+        }
+    };
+    if lower > upper {
         return Err(format!(
-            "joint `{}`: it has no limits or an empty range, from {lower} to {upper}",
-            joint.name
+            "{}: its limits are reversed, from {lower} to {upper}; exchange `lower` and `upper`",
+            joint.place()
         ));
     }
-    Ok(Some([lower, upper]))
+    Ok((lower.is_finite() || upper.is_finite()).then_some([lower, upper]))
 }
 
-fn check_mimics(by_name: &BTreeMap<&str, &urdf_rs::Joint>) -> Checked<()> {
-    for joint in by_name.values() {
-        let mut at = *joint;
-        for step in 0.. {
-            let Some(mimic) = &at.mimic else { break };
-            if at.joint_type == urdf_rs::JointType::Fixed {
-                return Err(format!("joint `{}` is fixed and cannot mimic another", at.name));
-            }
-            let numbers = [mimic.multiplier.unwrap_or(1.0), mimic.offset.unwrap_or(0.0)];
-            if !numbers.iter().all(|value| value.is_finite()) {
+/// What a joint follows.
+enum Follows<'a> {
+    /// It is driven by its own value.
+    Nothing,
+    /// The joint at the end of the mimic chain, factor and summand.
+    Joint(&'a str, f64, f64),
+    /// A joint that does not move: it stands at this value.
+    Constant(f64),
+}
+
+/// Multiplies a chain of mimic joints out.
+fn follow<'a>(
+    joint: &'a JointElement,
+    kind: JointKind,
+    by_name: &BTreeMap<&str, &'a JointElement>,
+    notes: &mut Notes,
+) -> Checked<Follows<'a>> {
+    let Some(first) = &joint.mimic else {
+        return Ok(Follows::Nothing);
+    };
+    if kind == JointKind::Fixed {
+        notes.add(
+            joint.place(),
+            "a joint that does not move mimics another: its `mimic` is left aside",
+        );
+        return Ok(Follows::Nothing);
+    }
+    let (mut multiplier, mut offset) = (first.multiplier, first.offset);
+    let Some(mut driver) = by_name.get(first.joint.as_str()).copied() else {
+        let what = format!(
+            "it mimics `{}`, which does not exist: its own value moves it",
+            first.joint
+        );
+        notes.add(joint.place(), what);
+        return Ok(Follows::Nothing);
+    };
+    for _ in 0..by_name.len() {
+        if !moves(driver) {
+            notes.add(
+                joint.place(),
+                format!(
+                    "it mimics `{}`, which does not move: it stands at its offset",
+                    driver.name
+                ),
+            );
+            return Ok(Follows::Constant(offset));
+        }
+        let next = driver
+            .mimic
+            .as_ref()
+            .and_then(|next| Some((next, by_name.get(next.joint.as_str())?)));
+        let Some((next, &target)) = next else {
+            if !multiplier.is_finite() || !offset.is_finite() {
                 return Err(format!(
-                    "joint `{}`: its mimic has a number that is not finite",
-                    at.name
+                    "{}: the factors of what it mimics are too large",
+                    joint.place()
                 ));
             }
-            let missing = || format!("joint `{}` mimics `{}`, which does not exist", at.name, mimic.joint);
-            at = by_name.get(mimic.joint.as_str()).ok_or_else(missing)?;
-            if at.joint_type == urdf_rs::JointType::Fixed {
-                return Err(format!("joint `{}` mimics the fixed joint `{}`", joint.name, at.name));
-            }
-            if step > by_name.len() {
-                return Err(format!("joint `{}` mimics itself through other joints", joint.name));
-            }
-        }
+            return Ok(Follows::Joint(&driver.name, multiplier, offset));
+        };
+        offset += multiplier * next.offset;
+        multiplier *= next.multiplier;
+        driver = target;
     }
-    Ok(())
+    let itself = if first.joint == joint.name {
+        "itself"
+    } else {
+        "itself through other joints"
+    };
+    Err(format!("{}: it mimics {itself}", joint.place()))
 }
 
-/// Name of the joint at the end of the mimic chain, factor and summand.
-fn resolve_mimic<'a>(
-    joint: &'a urdf_rs::Joint,
-    by_name: &BTreeMap<&str, &'a urdf_rs::Joint>,
-) -> Option<(&'a str, f64, f64)> {
-    let mimic = joint.mimic.as_ref()?;
-    let (mut multiplier, mut offset) = (mimic.multiplier.unwrap_or(1.0), mimic.offset.unwrap_or(0.0));
-    let mut driver = by_name[mimic.joint.as_str()];
-    while let Some(next) = &driver.mimic {
-        offset += multiplier * next.offset.unwrap_or(0.0);
-        multiplier *= next.multiplier.unwrap_or(1.0);
-        driver = by_name[next.joint.as_str()];
-    }
-    Some((driver.name.as_str(), multiplier, offset))
+fn moves(joint: &JointElement) -> bool {
+    matches!(
+        joint.kind,
+        JointType::Revolute | JointType::Continuous | JointType::Prismatic
+    )
 }
 
 #[cfg(test)]
@@ -358,10 +344,10 @@ mod tests {
             joint("to_e", "c", "e"),
         ];
         let text = format!(r#"<robot name="r">{links}{}</robot>"#, joints.concat());
-        let robot = urdf_rs::read_from_string(&text).unwrap();
+        let robot = parse(&text).unwrap();
         let order: Vec<&str> = depth_first(&robot, 2).iter().map(|joint| joint.name.as_str()).collect();
         assert_eq!(order, ["to_a", "to_c", "to_e", "to_d", "to_b", "to_f"]);
-        let peer = k::Chain::<f64>::from(&robot);
+        let peer = k::Chain::<f64>::from(&urdf_rs::read_from_string(&text).unwrap());
         let peer: Vec<String> = peer.iter().skip(1).map(|node| node.joint().name.clone()).collect();
         assert_eq!(order, peer);
     }

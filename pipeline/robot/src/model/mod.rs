@@ -3,7 +3,10 @@
 mod fk;
 mod folder;
 pub(crate) mod guard;
+mod known;
 mod load;
+mod urdf;
+pub(crate) mod xml;
 
 use std::path::{Path, PathBuf};
 
@@ -11,14 +14,14 @@ use glam::DVec3;
 use rogs_geometry::{Link, Pose};
 
 pub use fk::{JointState, LimitExcess};
-pub use folder::RobotFolder;
 pub(crate) use folder::read_capped;
+pub use rogs_robot_files::RobotFolder;
 
 use crate::error::{Error, Result};
 use crate::names;
 
-/// A robot description that was read and checked: one root, no cycles, unique names, finite numbers, limits where they
-/// are due, mimic joints resolved to the joint that drives them.
+/// A robot description that was read and checked: one root, no cycles, unique names, finite numbers, mimic joints resolved
+/// to the joint that drives them. Floating and planar joints are held at their origins.
 #[derive(Debug, Clone)]
 pub struct RobotModel {
     /// Name in the file.
@@ -27,6 +30,8 @@ pub struct RobotModel {
     pub path: PathBuf,
     /// Where its meshes lie.
     pub folder: RobotFolder,
+    /// What the file says and nothing here uses, or what it leaves open, one line each: warnings for people.
+    pub notes: Vec<String>,
     /// Links in the order of the file; a link id is an index into this list. At most 255.
     pub links: Vec<RobotLink>,
     /// Joints, every parent before its children.
@@ -70,6 +75,13 @@ pub enum Geometry {
         /// Length along z.
         length: f64,
     },
+    /// A cylinder around z with half a sphere at each end, centred at the origin, metres.
+    Capsule {
+        /// Radius of the cylinder and of the half spheres.
+        radius: f64,
+        /// Length of the cylinder along z, without the half spheres.
+        length: f64,
+    },
     /// A sphere centred at the origin, metres.
     Sphere {
         /// Radius.
@@ -99,7 +111,8 @@ pub struct Joint {
     pub parent_from_origin: Pose<Link, Link>,
     /// Unit axis in the joint's frame.
     pub axis: DVec3,
-    /// Lower and upper limit, radians or metres; `None` for fixed and continuous joints.
+    /// Lower and upper limit, radians or metres; one of them may be infinite. `None` where the file gives none, and for
+    /// fixed and continuous joints.
     pub limits: Option<[f64; 2]>,
     /// The joint that drives this one.
     pub mimic: Option<Mimic>,
@@ -131,8 +144,8 @@ impl RobotModel {
     /// Reads a URDF file. Nothing is executed, nothing but the file is read; meshes follow when they are asked for.
     ///
     /// # Errors
-    /// When the file cannot be read, exceeds the limits (1 MiB, depth, attributes), is not a URDF, or describes no tree of
-    /// links: cycles, several roots, duplicate or unknown names, joints without limits, numbers that are not finite.
+    /// When the file cannot be read, exceeds the limits (4 MiB, depth, attributes), is not a URDF, or describes no tree of
+    /// links: cycles, several roots, duplicate or unknown names, reversed limits, numbers that are not finite.
     pub fn load(path: &Path) -> Result<Self> {
         load::load(path)
     }

@@ -17,8 +17,8 @@ use rogs_geometry::{Camera, Link, Pinhole, Pose};
 use rogs_schemas::records::robot::{NO_LINK, RobotSpec};
 
 use crate::error::{Error, Result};
-use crate::mesh::Mesh;
-use crate::model::RobotModel;
+use crate::mesh::{Mesh, Sizes};
+use crate::model::{Geometry, RobotModel};
 use crate::names;
 
 use draw::EMPTY;
@@ -37,6 +37,8 @@ const RESOLVE_CHUNK: usize = 16_384;
 /// The meshes of a robot, each in the frame of its link.
 #[derive(Debug, Clone, Default)]
 pub struct MeshScene {
+    /// What the mesh files say that was left aside, and sizes that do not fit the robot, one line each.
+    pub notes: Vec<String>,
     parts: Vec<Part>,
     // Positions of all parts, one array per axis. [V]
     x: Vec<f32>,
@@ -91,12 +93,14 @@ impl MeshScene {
     }
 
     /// The anchor meshes of a robot: all links but the excluded ones; collision geometry where the specification says
-    /// so, visual geometry elsewhere. Triangles are numbered in link order.
+    /// so, visual geometry elsewhere. Triangles are numbered in link order. Meshes whose size does not fit the robot are
+    /// noted.
     ///
     /// # Errors
     /// When a mesh cannot be read, or when nothing is selected.
     pub fn of_robot(model: &RobotModel, spec: &RobotSpec) -> Result<Self> {
         let mut scene = Self::new();
+        let mut sizes = Sizes::new(model);
         for (id, link) in model.links.iter().enumerate() {
             if names::matches_any(&spec.exclude_links, &link.name) {
                 continue;
@@ -104,7 +108,15 @@ impl MeshScene {
             let collision = names::matches_any(&spec.collision_links, &link.name);
             let mut mesh = Mesh::default();
             for shape in if collision { &link.collision } else { &link.visual } {
-                mesh.append(&Mesh::of_shape(shape, &model.folder)?);
+                let file = Mesh::of_shape(shape, &model.folder, spec.mesh_axes)?;
+                if let Geometry::Mesh { reference, .. } = &shape.geometry {
+                    let notes = file.notes.iter().map(|note| format!("mesh `{reference}`: {note}"));
+                    scene
+                        .notes
+                        .extend(notes.filter(|note| !scene.notes.contains(note)).collect::<Vec<_>>());
+                    sizes.add(reference, &file.mesh);
+                }
+                mesh.append(&file.mesh);
             }
             scene.add(id as u8, &mesh);
         }
@@ -113,6 +125,7 @@ impl MeshScene {
                 what: format!("robot `{}`: no link has a mesh under the given selection", model.name),
             });
         }
+        scene.notes.extend(sizes.note());
         Ok(scene)
     }
 

@@ -34,6 +34,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     if let Some(base_link) = &args.base_link {
         model = model.with_base_link(base_link)?;
     }
+    for note in &model.notes {
+        output::note(&format!("warning: robot `{}`: {note}", args.robot.display()));
+    }
     let mut reader = csv::ReaderBuilder::new()
         .flexible(true)
         .from_path(&args.joints)

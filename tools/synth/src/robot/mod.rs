@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 use rogs_geometry::{Base, Pose};
-use rogs_schemas::records::robot::RobotSpec;
+use rogs_schemas::records::robot::{MeshAxes, RobotSpec};
 
 use crate::frame::BodyFrame;
 use crate::math::{rot_axis, rot_rpy};
@@ -343,6 +343,7 @@ impl Robot {
             tool_offset_m: [0.0, 0.0, TOOL_Z],
             exclude_links: Vec::new(),
             collision_links: Vec::new(),
+            mesh_axes: MeshAxes::Viewers,
         }
     }
 }
