@@ -139,9 +139,13 @@ pub enum EpisodeMount {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EpisodeDepth {
-    /// One `.npy` file, f32 `[F, H, W]` in metres, or a folder of `000000.npy` (f32 `[H, W]`, metres) or `000000.png`
-    /// (16 bit, millimetres). NaN and values that are not above 0 mean unknown.
+    /// One `.npy` file `[F, H, W]`, or a folder of `000000.npy` `[H, W]`, `000000.exr` or `000000.png` (16 bit). Floats are
+    /// metres and PNG values millimetres unless `unit_m` says otherwise. NaN and values that are not above 0 mean unknown.
     pub path: String,
+    /// Metres that one step of the numbers stands for, for example 0.0002 for PNG with 5000 steps a metre. Integers in
+    /// `.npy` files need it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit_m: Option<f64>,
     /// Depths outside this open interval are not scored, metres.
     #[serde(default = "default_range")]
     pub range_m: [f32; 2],

@@ -56,7 +56,10 @@ impl FlatExr {
         let meta = meta.map_err(|error| unreadable(path, &error))?;
         let [header] = meta.headers.as_slice() else {
             let parts = meta.headers.len();
-            return Err(Error::wrong(path, format!("it has {parts} parts, expected one")));
+            return Err(Error::wrong(
+                path,
+                format!("it has {parts} parts, expected one; save the depth as a file of its own"),
+            ));
         };
         check(header).map_err(|what| Error::wrong(path, what))?;
         file.rewind().map_err(io)?;

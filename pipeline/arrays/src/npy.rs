@@ -25,6 +25,8 @@ pub struct NpyFile {
     /// First byte of the numbers.
     start: usize,
     dtype: Dtype,
+    /// The numbers have their highest byte first.
+    big_endian: bool,
     shape: Vec<usize>,
 }
 
@@ -46,7 +48,7 @@ impl NpyFile {
         read(&mut file, &mut head, EDGE).map_err(io)?;
         let start = data_start(&head).map_err(wrong)?;
         read(&mut file, &mut head, start).map_err(io)?;
-        let (dtype, shape) = header(&head, start).map_err(wrong)?;
+        let (dtype, big_endian, shape) = header(&head, start).map_err(wrong)?;
         if data_length(dtype, &shape).and_then(|bytes| bytes.checked_add(start)) != usize::try_from(length).ok() {
             let what = format!("the file has {length} bytes, which does not fit its shape {shape:?}");
             return Err(wrong(what));
@@ -56,6 +58,7 @@ impl NpyFile {
             file,
             start,
             dtype,
+            big_endian,
             shape,
         })
     }
@@ -124,6 +127,9 @@ impl NpyFile {
         let seek = self.file.seek(SeekFrom::Start((self.start + from * size) as u64));
         seek.and_then(|_| self.file.read_exact(&mut bytes))
             .map_err(|error| Error::io(&self.path, error))?;
+        if self.big_endian {
+            bytes.chunks_exact_mut(size).for_each(<[u8]>::reverse);
+        }
         Ok(self.dtype.doubles(&bytes))
     }
 }
@@ -140,7 +146,10 @@ pub fn npy_numbers(bytes: &[u8]) -> std::result::Result<(Vec<usize>, Vec<f64>), 
 /// Type, shape and bytes of the numbers of a `.npy` file in memory.
 pub(crate) fn parse(bytes: &[u8]) -> std::result::Result<(Dtype, Vec<usize>, &[u8]), String> {
     let start = data_start(bytes)?;
-    let (dtype, shape) = header(bytes, start)?;
+    let (dtype, big_endian, shape) = header(bytes, start)?;
+    if big_endian {
+        return Err("the values are big-endian; save `a.astype(a.dtype.newbyteorder('<'))`".to_owned());
+    }
     let data = &bytes[start..];
     if data_length(dtype, &shape) != Some(data.len()) {
         return Err(format!("shape {shape:?} does not fit its {} bytes", data.len()));
@@ -164,7 +173,10 @@ fn data_start(head: &[u8]) -> std::result::Result<usize, String> {
         (true, 1) => (10, usize::from(u16::from_le_bytes([edge[8], edge[9]]))),
         (true, 2 | 3) => (12, u32::from_le_bytes([edge[8], edge[9], edge[10], edge[11]]) as usize),
         (true, other) => return Err(format!("version {other} of the .npy format is not supported")),
-        (false, _) => return Err("it is not a .npy file".to_owned()),
+        (false, _) if edge.starts_with(b"PK") => {
+            return Err("it is an .npz archive, not a .npy file; save the array alone (`numpy.save`)".to_owned());
+        }
+        (false, _) => return Err("it is not a .npy file; save one with `numpy.save`".to_owned()),
     };
     if length > MAX_HEADER {
         return Err(format!("a header of {length} bytes is impossible"));
@@ -172,9 +184,9 @@ fn data_start(head: &[u8]) -> std::result::Result<usize, String> {
     Ok(begin + length)
 }
 
-/// Type and shape from the header that ends at `start`:
+/// Type, whether numbers have their highest byte first, and shape from the header that ends at `start`:
 /// `{'descr': '<f4', 'fortran_order': False, 'shape': (3, 4), }`.
-fn header(head: &[u8], start: usize) -> std::result::Result<(Dtype, Vec<usize>), String> {
+fn header(head: &[u8], start: usize) -> std::result::Result<(Dtype, bool, Vec<usize>), String> {
     let header = head.get(10..start).ok_or("it is cut off in its header")?;
     let header = String::from_utf8_lossy(header);
     let after = |key: &str| {
@@ -191,7 +203,9 @@ fn header(head: &[u8], start: usize) -> std::result::Result<(Dtype, Vec<usize>),
         .strip_prefix('\'')
         .and_then(|rest| rest.split('\'').next())
         .ok_or("the value type is not plain")?;
-    let dtype = Dtype::of_numpy(dtype)?;
+    let little = dtype.strip_prefix('>').map(|rest| format!("<{rest}"));
+    let big_endian = little.is_some();
+    let dtype = Dtype::of_numpy(&little.unwrap_or_else(|| dtype.to_owned()))?;
     if !after("fortran_order")?.starts_with("False") {
         return Err("the array is in Fortran order; save `numpy.ascontiguousarray(a)`".to_owned());
     }
@@ -206,7 +220,7 @@ fn header(head: &[u8], start: usize) -> std::result::Result<(Dtype, Vec<usize>),
     if lengths.len() > MAX_DIMENSIONS {
         return Err(format!("{} dimensions are too many", lengths.len()));
     }
-    Ok((dtype, lengths))
+    Ok((dtype, big_endian, lengths))
 }
 
 /// What comes before the numbers of an array of this type and shape: a header of version 1.0.
@@ -279,10 +293,11 @@ mod tests {
         assert!(why(&huge, &[0; 8]).contains("does not fit"));
         assert!(why(&header.replace("False", "True"), &[0; 8]).contains("ascontiguousarray"));
         assert!(why(&header.replace("<f4", "|O"), &[0; 8]).contains("`|O`"));
-        assert!(why(&header.replace("<f4", ">f4"), &[0; 8]).contains("not supported"));
+        assert!(why(&header.replace("<f4", ">f4"), &[0; 8]).contains("newbyteorder"));
         assert!(why("{                        }", &[0; 8]).contains("no `descr`"));
         assert!(parse(b"\x93NUMPY\x01\x00\xff\xff{}").unwrap_err().contains("cut off"));
-        assert!(parse(b"PK0123456789").unwrap_err().contains("not a .npy file"));
+        assert!(parse(b"PK0123456789").unwrap_err().contains(".npz archive"));
+        assert!(parse(b"XX0123456789").unwrap_err().contains("not a .npy file"));
         assert!(parse(b"PK").unwrap_err().contains("too short"));
     }
 
@@ -320,6 +335,12 @@ mod tests {
         assert_eq!(file.entry(1).unwrap(), [3.0, 4.0, 5.0]);
         assert!(file.entry(2).unwrap_err().to_string().contains("no entry 2"));
         assert_eq!(file.all().unwrap(), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
+        let big = npy(
+            "{'descr': '>i2', 'fortran_order': False, 'shape': (2,), }",
+            &[0, 1, 255, 254],
+        );
+        std::fs::write(&path, big).unwrap();
+        assert_eq!(NpyFile::open(&path).unwrap().all().unwrap(), [1.0, -2.0]);
         // No entries, whatever the other lengths.
         let empty = "{'descr': '<f4', 'fortran_order': False, 'shape': (0, 9999999999999, 9999999999999), }";
         std::fs::write(&path, npy(empty, &[])).unwrap();

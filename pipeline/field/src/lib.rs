@@ -21,6 +21,7 @@ pub mod correction;
 pub mod error;
 pub mod gates;
 pub mod ply;
+mod ply_header;
 mod timed;
 
 pub use correction::{Correction, GateGroup, POSITION_BOUND_M};

@@ -1,27 +1,23 @@
 //! 3DGS PLY files (`docs/spec/r4c.md` section 6).
 //!
-//! Binary little-endian, one `element vertex`, `property float` throughout: `x y z`, `f_dc_0..2`, `f_rest_*` (all of red,
+//! Binary little-endian, one `element vertex`, properties `float` or `double`: `x y z`, `f_dc_0..2`, `f_rest_*` (all of red,
 //! then green, then blue), `opacity` as a logit, `scale_0..2` as natural logarithms of the standard deviations,
-//! `rot_0..3` as (w, x, y, z). Properties are found by name; others (normals, say) are skipped. We write lengths in
+//! `rot_0..3` as (w, x, y, z). Properties are found by name; others (normals, say) are skipped. Where colours are bytes
+//! `red green blue` instead (nerfstudio without harmonics), these are read. We write lengths in
 //! metres and say so in comments, because the format itself has no unit.
 
-use std::collections::HashMap;
 use std::io::{Read, Write};
 use std::path::Path;
 
 use rogs_schemas::units::LengthUnit;
 
-use rogs_splat::gaussians::MAX_GAUSSIANS;
 use rogs_splat::{Colour, Gaussians, sh};
 
 use crate::attributes::sigmoid;
 use crate::error::{Error, Result};
+use crate::ply_header::{Header, Kind, Property, wrong};
 use crate::timed::TimedField;
 
-/// Longest header that is read.
-const MAX_HEADER: usize = 1 << 16;
-/// Most properties of the vertex element.
-const MAX_PROPERTIES: usize = 1024;
 /// Opacities are written as logits of values at least this far from 0 and 1, which f32 can tell apart.
 const OPACITY_MARGIN: f32 = 1e-6;
 
@@ -73,15 +69,11 @@ pub fn read_ply(bytes: &[u8]) -> Result<PlyScene> {
     let names = [
         "x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
     ];
-    let mut offsets = [0; 11];
+    let mut offsets = [Property::NONE; 11];
     for (offset, name) in offsets.iter_mut().zip(names) {
-        *offset = header.float(name)?;
+        *offset = header.real(name)?;
     }
-    let dc = [
-        header.float("f_dc_0")?,
-        header.float("f_dc_1")?,
-        header.float("f_dc_2")?,
-    ];
+    let dc = header.colours()?;
     let rest_count = header.rest_count()?;
     let degree = match rest_count {
         0 => 0,
@@ -95,7 +87,7 @@ pub fn read_ply(bytes: &[u8]) -> Result<PlyScene> {
         }
     };
     let rest = (0..rest_count)
-        .map(|k| header.float(&format!("f_rest_{k}")))
+        .map(|k| header.real(&format!("f_rest_{k}")))
         .collect::<Result<Vec<_>>>()?;
 
     let per = 3 * sh::coefficient_count(degree);
@@ -108,14 +100,17 @@ pub fn read_ply(bytes: &[u8]) -> Result<PlyScene> {
     };
     let mut coefficients = Vec::with_capacity(per * n);
     for vertex in body[header.skip..].chunks_exact(header.stride).take(n) {
-        let float = |offset: usize| f32_at(vertex, offset);
+        let float = |property: Property| property.value(vertex);
         gaussians.means.extend(offsets[..3].iter().map(|&o| float(o)));
         gaussians.opacities.push(sigmoid(float(offsets[3])));
         gaussians
             .scales
             .extend(offsets[4..7].iter().map(|&o| libm::expf(float(o))));
         gaussians.quats.extend(offsets[7..].iter().map(|&o| float(o)));
-        coefficients.extend(dc.map(float));
+        coefficients.extend(dc.map(|property| match property.kind {
+            Kind::Byte => sh::coefficient_from_colour(float(property) / 255.0),
+            Kind::Float | Kind::Double | Kind::Other => float(property),
+        }));
         for k in 1..per / 3 {
             let bands = per / 3 - 1;
             coefficients.extend((0..3).map(|c| float(rest[c * bands + k - 1])));
@@ -125,156 +120,6 @@ pub fn read_ply(bytes: &[u8]) -> Result<PlyScene> {
     Ok(PlyScene {
         gaussians,
         comments: header.comments,
-    })
-}
-
-fn f32_at(bytes: &[u8], offset: usize) -> f32 {
-    let mut four = [0; 4];
-    four.copy_from_slice(&bytes[offset..offset + 4]);
-    f32::from_le_bytes(four)
-}
-
-fn wrong(what: String) -> Error {
-    Error::Ply { what }
-}
-
-/// The part of a header that matters.
-struct Header {
-    /// Bytes of the header.
-    length: usize,
-    /// Bytes of elements before the vertices.
-    skip: usize,
-    vertices: usize,
-    /// Bytes of a vertex.
-    stride: usize,
-    /// Offset in a vertex and whether it is a float, by name.
-    properties: HashMap<String, (usize, bool)>,
-    comments: Vec<String>,
-}
-
-impl Header {
-    fn parse(bytes: &[u8]) -> Result<Self> {
-        let head = &bytes[..bytes.len().min(MAX_HEADER)];
-        let mut header = Self {
-            length: 0,
-            skip: 0,
-            vertices: 0,
-            stride: 0,
-            properties: HashMap::new(),
-            comments: Vec::new(),
-        };
-        let mut element: Option<(bool, usize)> = None; // is it the vertices, and how many
-        let (mut seen_format, mut seen_vertices) = (false, false);
-        let mut at = 0;
-        for number in 1.. {
-            let Some(end) = head[at..].iter().position(|&b| b == b'\n') else {
-                return Err(wrong(format!("no `end_header` in the first {} bytes", head.len())));
-            };
-            let line = std::str::from_utf8(&head[at..at + end])
-                .map_err(|_| wrong(format!("line {number} of the header is not text")))?
-                .trim_end_matches('\r');
-            at += end + 1;
-            let mut words = line.split_ascii_whitespace();
-            let problem = |what: &str| wrong(format!("line {number} of the header, `{line}`: {what}"));
-            match words.next() {
-                Some("ply") if number == 1 => {}
-                _ if number == 1 => return Err(wrong("the file does not begin with `ply`".into())),
-                Some("format") => {
-                    if words.next() != Some("binary_little_endian") {
-                        return Err(problem("only binary_little_endian is read"));
-                    }
-                    seen_format = true;
-                }
-                Some("comment" | "obj_info") => header.comments.push(words.collect::<Vec<_>>().join(" ")),
-                Some("element") => {
-                    let name = words.next();
-                    let count = words.next().and_then(|c| c.parse::<usize>().ok());
-                    let count = count
-                        .filter(|&c| c <= MAX_GAUSSIANS)
-                        .ok_or_else(|| problem("not a usable count"))?;
-                    let vertices = name == Some("vertex");
-                    if vertices && seen_vertices {
-                        return Err(problem("a second vertex element"));
-                    }
-                    if vertices {
-                        header.vertices = count;
-                    }
-                    seen_vertices |= vertices;
-                    element = Some((vertices, count));
-                }
-                Some("property") => {
-                    let (vertices, count) = element.ok_or_else(|| problem("a property before any element"))?;
-                    let kind = words.next().unwrap_or("");
-                    let Some(size) = size_of_type(kind) else {
-                        // Lists of later elements (faces, say) are never reached.
-                        if vertices || !seen_vertices {
-                            return Err(problem(
-                                "lists and unknown types are not read before or in the vertices",
-                            ));
-                        }
-                        continue;
-                    };
-                    if vertices {
-                        let name = words.next().ok_or_else(|| problem("a property without a name"))?;
-                        let place = (header.stride, matches!(kind, "float" | "float32"));
-                        if header.properties.len() >= MAX_PROPERTIES {
-                            return Err(problem("too many properties"));
-                        }
-                        if header.properties.insert(name.to_owned(), place).is_some() {
-                            return Err(problem("a second property of that name"));
-                        }
-                        header.stride += size;
-                    } else if !seen_vertices {
-                        header.skip = size
-                            .checked_mul(count)
-                            .and_then(|bytes| bytes.checked_add(header.skip))
-                            .ok_or_else(|| problem("an element of impossible size"))?;
-                    }
-                }
-                Some("end_header") => break,
-                Some(_) => return Err(problem("not a PLY header line")),
-                None => {}
-            }
-        }
-        if !seen_format || !seen_vertices || header.stride == 0 {
-            return Err(wrong(
-                "the header has no format line or no vertex element with properties".into(),
-            ));
-        }
-        header.length = at;
-        Ok(header)
-    }
-
-    /// Offset of a float property.
-    fn float(&self, name: &str) -> Result<usize> {
-        match self.properties.get(name) {
-            Some(&(offset, true)) => Ok(offset),
-            Some(_) => Err(wrong(format!("property `{name}` is not a float"))),
-            None => Err(wrong(format!("property `{name}` is missing"))),
-        }
-    }
-
-    /// Number of `f_rest_*`, which must be numbered without gaps.
-    fn rest_count(&self) -> Result<usize> {
-        let count = self
-            .properties
-            .keys()
-            .filter(|name| name.starts_with("f_rest_"))
-            .count();
-        for k in 0..count {
-            self.float(&format!("f_rest_{k}"))?;
-        }
-        Ok(count)
-    }
-}
-
-fn size_of_type(name: &str) -> Option<usize> {
-    Some(match name {
-        "char" | "uchar" | "int8" | "uint8" => 1,
-        "short" | "ushort" | "int16" | "uint16" => 2,
-        "int" | "uint" | "float" | "int32" | "uint32" | "float32" => 4,
-        "double" | "float64" => 8,
-        _ => return None,
     })
 }
 

@@ -162,3 +162,108 @@ proptest! {
         }
     }
 }
+
+/// A header and one vertex, for files of other programs.
+fn foreign(properties: &[(&str, &str)], numbers: &[u8]) -> Vec<u8> {
+    let mut text = String::from("ply\nformat binary_little_endian 1.0\nelement vertex 1\n");
+    for (kind, name) in properties {
+        text += &format!("property {kind} {name}\n");
+    }
+    text += "end_header\n";
+    [text.as_bytes(), numbers].concat()
+}
+
+const SHAPE: [&str; 11] = [
+    "x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
+];
+
+#[test]
+fn doubles_and_colours_as_bytes_are_read() {
+    let of_shape = |kind: &'static str| SHAPE.iter().map(move |&name| (kind, name));
+    let shape = |value: fn(f64) -> Vec<u8>| {
+        (0..11)
+            .flat_map(move |n| value(f64::from(n) / 4.0))
+            .collect::<Vec<u8>>()
+    };
+    let doubles = shape(|value| value.to_le_bytes().to_vec());
+    let floats = shape(|value| (value as f32).to_le_bytes().to_vec());
+    let bytes = ["red", "green", "blue"].map(|name| ("uchar", name));
+    let colours = [0_u8, 255, 102];
+    let harmonics = ["f_dc_0", "f_dc_1", "f_dc_2"].map(|name| ("float", name));
+    let same = colours.map(|byte| (f32::from(byte) / 255.0 - 0.5) / 0.282_094_8);
+    let same: Vec<u8> = same.iter().flat_map(|value| value.to_le_bytes()).collect();
+    let plain: Vec<_> = of_shape("float").chain(harmonics).collect();
+    let expected = read_ply(&foreign(&plain, &[floats.clone(), same.clone()].concat()))
+        .unwrap()
+        .gaussians;
+    for (properties, numbers) in [
+        (
+            of_shape("double").chain(harmonics).collect::<Vec<_>>(),
+            [doubles, same].concat(),
+        ),
+        (
+            of_shape("float").chain(bytes).collect(),
+            [floats, colours.to_vec()].concat(),
+        ),
+    ] {
+        let read = read_ply(&foreign(&properties, &numbers)).unwrap().gaussians;
+        assert_eq!(
+            (&read.means, &read.quats, &read.opacities),
+            (&expected.means, &expected.quats, &expected.opacities)
+        );
+        let (Colour::Sh { coefficients: got, .. }, Colour::Sh { coefficients: want, .. }) =
+            (&read.colour, &expected.colour)
+        else {
+            panic!("no harmonics");
+        };
+        close(want, got, 1e-6);
+    }
+}
+
+#[test]
+fn forms_that_are_not_read_are_named_with_a_way_on() {
+    let packed = [("uint", "packed_position"), ("uint", "packed_rotation")];
+    let chunk = b"ply\nformat binary_little_endian 1.0\nelement chunk 1\nproperty float min_x\nend_header\n".to_vec();
+    let shape: Vec<_> = SHAPE.iter().map(|&name| ("float", name)).collect();
+    let wide = shape
+        .iter()
+        .copied()
+        .chain([("float", "red"), ("float", "green"), ("float", "blue")])
+        .collect::<Vec<_>>();
+    for (file, words) in [
+        (foreign(&packed, &[0; 8]), "compressed PLY (SuperSplat"),
+        (chunk, "splat-transform"),
+        (foreign(&shape, &[0; 44]), "`f_dc_0` is missing"),
+        (foreign(&wide, &[0; 56]), "sh_coeffs"),
+        (
+            foreign(&[("float", "x"), ("float", "nx")], &[0; 8]),
+            "this one has x, nx",
+        ),
+        (b"ply\nformat ascii 1.0\n".to_vec(), "save it as that"),
+        (b"ply\nformat binary_big_endian 1.0\n".to_vec(), "binary_little_endian"),
+    ] {
+        let message = read_ply(&file).unwrap_err().to_string();
+        assert!(
+            message.contains(words) && message.starts_with("not a readable 3DGS PLY"),
+            "{message}"
+        );
+    }
+}
+
+#[test]
+fn infinite_logits_are_opacities_of_zero_and_one() {
+    let properties: Vec<_> = SHAPE
+        .iter()
+        .chain(&["f_dc_0", "f_dc_1", "f_dc_2"])
+        .map(|&name| ("float", name))
+        .collect();
+    for (logit, opacity) in [(f32::INFINITY, 1.0), (f32::NEG_INFINITY, 0.0), (88.0, 1.0)] {
+        let mut numbers = [0.0_f32; 14];
+        numbers[3] = logit;
+        let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+        assert_eq!(
+            read_ply(&foreign(&properties, &bytes)).unwrap().gaussians.opacities,
+            [opacity]
+        );
+    }
+}

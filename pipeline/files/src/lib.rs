@@ -31,8 +31,10 @@ mod draft;
 mod error;
 pub mod fault_injection;
 mod left_behind;
+mod stray;
 
 pub use atomic::{rename, try_write_with, write_bytes, write_with};
 pub use draft::{Draft, DraftFile};
 pub use error::{Error, Result};
 pub use left_behind::{is_left_behind, sweep};
+pub use stray::is_stray;

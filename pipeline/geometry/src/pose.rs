@@ -94,13 +94,13 @@ impl<A: Frame, B: Frame> Pose<A, B> {
         Ok(result)
     }
 
-    /// From a row-major 4x4 matrix.
+    /// From a row-major 4x4 matrix. A last row that rounding has left within 1e-6 of `0 0 0 1` is taken as that.
     ///
     /// # Errors
-    /// As [`Pose::from_rigid`]; also when the last row is not `0 0 0 1`.
+    /// As [`Pose::from_rigid`]; also when the last row is another.
     pub fn from_matrix4(matrix: &[f64; 16]) -> Result<Self> {
         let last = [matrix[12], matrix[13], matrix[14], matrix[15] - 1.0];
-        if !last.iter().all(|entry| entry.abs() < 1e-9) {
+        if !last.iter().all(|entry| entry.abs() <= 1e-6) {
             return Err(Error::NotRigid {
                 what: format!("the last row is {:?}, not 0 0 0 1", &matrix[12..]),
             });
@@ -325,6 +325,9 @@ mod tests {
                 .contains("finite")
         );
         let mut matrix = example().to_matrix4();
+        matrix[12] = 1e-8;
+        matrix[15] = 1.0 - 1e-7;
+        assert!(Pose::<Base, Link>::from_matrix4(&matrix).is_ok());
         matrix[12] = 1.0;
         assert!(
             Pose::<Base, Link>::from_matrix4(&matrix)

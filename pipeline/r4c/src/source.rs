@@ -46,8 +46,9 @@ pub fn combine(files: &BTreeMap<String, ContentHash>) -> ContentHash {
     ContentHash(*hasher.finalize().as_bytes())
 }
 
-/// The files that make up a source, by the names they are hashed under: of a folder every file in it; of a robot model
-/// every file in the URDF's folder, and which of them is the URDF; of any other file itself, under an empty name.
+/// The files that make up a source, by the names they are hashed under: of a folder every file in it but strays
+/// ([`rogs_files::is_stray`]), links followed; of a robot model every file in the URDF's folder, which of them is the URDF,
+/// and the meshes elsewhere that it refers to; of any other file itself, under an empty name.
 ///
 /// # Errors
 /// When something cannot be read or there are absurdly many files.
@@ -60,13 +61,14 @@ pub fn source_files(role: &str, path: &Path) -> Result<BTreeMap<String, PathBuf>
     })?;
     let mut files = BTreeMap::new();
     if metadata.is_dir() {
-        walk(path, path, &mut files)?;
+        walk(path, path, 0, &mut files)?;
     } else if role == ROBOT_MODEL {
         let folder = path
             .parent()
             .filter(|folder| !folder.as_os_str().is_empty())
             .unwrap_or(Path::new("."));
-        walk(folder, folder, &mut files)?;
+        walk(folder, folder, 0, &mut files)?;
+        refer(path, folder, &mut files);
         files.insert("<model>".to_owned(), path.to_owned());
     } else {
         files.insert(String::new(), path.to_owned());
@@ -84,17 +86,59 @@ pub fn hash_source(role: &str, path: &Path) -> Result<ContentHash> {
     Ok(combine(&hashed.collect::<Result<_>>()?))
 }
 
-fn walk(root: &Path, folder: &Path, files: &mut BTreeMap<String, PathBuf>) -> Result<()> {
+/// Files that a URDF refers to outside its folder: those of the packages beside it. What cannot be resolved is left to
+/// the stage that reads it, which says so.
+fn refer(urdf: &Path, own: &Path, files: &mut BTreeMap<String, PathBuf>) {
+    let text = std::fs::read(urdf).unwrap_or_default();
+    let text = String::from_utf8_lossy(&text);
+    let Ok(folder) = rogs_robot_files::RobotFolder::of_urdf(urdf) else {
+        return;
+    };
+    let own = std::path::absolute(own).unwrap_or_else(|_| own.to_owned());
+    for reference in rogs_robot_files::references(&text) {
+        let Ok(path) = folder.resolve(&reference) else { continue };
+        if path.starts_with(&own) {
+            continue;
+        }
+        let is_gltf = path
+            .extension()
+            .is_some_and(|ending| ending.eq_ignore_ascii_case("gltf"));
+        // The buffers of a glTF file lie beside it.
+        let beside = path
+            .parent()
+            .filter(|_| is_gltf)
+            .and_then(|folder| std::fs::read_dir(folder).ok());
+        for path in beside.into_iter().flatten().flatten().map(|entry| entry.path()) {
+            if path.extension().is_some_and(|ending| ending == "bin") {
+                let name = path.file_name().unwrap_or_default().to_string_lossy();
+                files.insert(format!("<reference>/{reference}/{name}"), path.clone());
+            }
+        }
+        files.insert(format!("<reference>/{reference}"), path);
+    }
+}
+
+/// Folders within folders that are followed; links can make endless ones.
+const MAX_DEPTH: usize = 32;
+
+fn walk(root: &Path, folder: &Path, depth: usize, files: &mut BTreeMap<String, PathBuf>) -> Result<()> {
     let io = |source| Error::Io {
         action: "listing",
         path: folder.to_owned(),
         source,
     };
+    if depth > MAX_DEPTH {
+        let source = std::io::Error::other("folders are nested without end: does a link lead back?");
+        return Err(io(source));
+    }
     for entry in std::fs::read_dir(folder).map_err(io)? {
         let entry = entry.map_err(io)?;
-        let (kind, path) = (entry.file_type().map_err(io)?, entry.path());
-        if kind.is_dir() {
-            walk(root, &path, files)?;
+        let path = entry.path();
+        if rogs_files::is_stray(&entry.file_name()) {
+            continue;
+        }
+        if path.is_dir() {
+            walk(root, &path, depth + 1, files)?;
         } else if path.is_file() {
             let name = path
                 .strip_prefix(root)
@@ -149,6 +193,57 @@ mod tests {
                 .contains("gone")
         );
         let _ = (std::fs::remove_dir_all(a), std::fs::remove_dir_all(b));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn strays_are_no_content_and_links_are_followed() {
+        let a = folder("strays");
+        std::fs::write(a.join("meshes/0.png"), "x").unwrap();
+        let before = hash_source("episode", &a).unwrap();
+        for stray in ["._0.png", ".DS_Store", "meshes/._0.png", "Thumbs.db"] {
+            std::fs::write(a.join(stray), "y").unwrap();
+        }
+        assert_eq!(hash_source("episode", &a).unwrap(), before);
+        let b = folder("linked");
+        std::fs::remove_dir(b.join("meshes")).unwrap();
+        std::os::unix::fs::symlink(a.join("meshes"), b.join("meshes")).unwrap();
+        assert_eq!(hash_source("episode", &b).unwrap(), before);
+        std::os::unix::fs::symlink(&b, b.join("again")).unwrap();
+        assert!(hash_source("episode", &b).unwrap_err().to_string().contains("listing"));
+        let _ = (std::fs::remove_dir_all(a), std::fs::remove_dir_all(b));
+    }
+
+    #[test]
+    fn meshes_of_packages_beside_the_robot_are_part_of_it() {
+        let workspace = folder("packages");
+        let put = |file: &str, text: &str| {
+            let path = workspace.join(file);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, text).unwrap();
+        };
+        put("arm/package.xml", "");
+        put(
+            "arm/urdf/x.urdf",
+            "<mesh filename='package://hand/m.stl'/><mesh filename='../own.stl'/>",
+        );
+        put("arm/own.stl", "1");
+        put("hand/package.xml", "");
+        let urdf = workspace.join("arm/urdf/x.urdf");
+        let hash = || hash_source(ROBOT_MODEL, &urdf).unwrap();
+        let without = hash();
+        put("hand/m.stl", "1");
+        let first = hash();
+        assert_ne!(first, without);
+        put("hand/m.stl", "2");
+        let second = hash();
+        assert_ne!(second, first);
+        put("arm/own.stl", "2");
+        assert_ne!(hash(), second);
+        put("hand/other.stl", "what is not referred to does not count");
+        put("arm/own.stl", "1");
+        assert_eq!(hash(), second);
+        let _ = std::fs::remove_dir_all(workspace);
     }
 
     #[test]

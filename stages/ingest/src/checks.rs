@@ -87,14 +87,20 @@ pub(crate) fn states(states: &States, row_name: &str, path: &Path) -> StageResul
             }
             if value.abs() > DEGREES {
                 let text = format!("joint `{name}` is {value} at {row_name} {row}");
-                return Err(wrong(path, text).with_hint("joint positions are radians; were these degrees?"));
+                return Err(wrong(path, text).with_hint(
+                    "joint positions are radians; were these degrees? `ingest.states.unit = \"degrees\"` converts them, \
+                     `ingest.states.gripper_range = [100, 0]` a gripper in percent (entry `gripper.pos` of SO-100 and SO-101)",
+                ));
             }
         }
     }
     for (row, &value) in states.gripper.iter().enumerate() {
         if !(-1e-6..=1.0 + 1e-6).contains(&value) {
             let text = format!("the gripper is {value} at {row_name} {row}, it must be in 0 (open) to 1 (closed)");
-            return Err(wrong(path, text));
+            return Err(wrong(path, text).with_hint(
+                "`ingest.states.gripper_range = [OPEN, CLOSED]` says which values of the data mean open and closed, e.g. \
+                 [100, 0] for percent of opening",
+            ));
         }
     }
     Ok(())

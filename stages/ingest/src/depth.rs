@@ -1,8 +1,8 @@
-//! Reference depth: metres in `.npy` or OpenEXR, or millimetres in 16-bit PNG.
+//! Reference depth: `.npy` or OpenEXR in metres, 16-bit PNG in millimetres, or what the episode says of their unit.
 
 use std::path::Path;
 
-use rogs_arrays::{FlatExr, NpyFile};
+use rogs_arrays::{Dtype, FlatExr, NpyFile};
 use rogs_worker::StageResult;
 
 use crate::fault::{unreadable, wrong};
@@ -29,9 +29,9 @@ impl SourceDepth {
         let (rows, columns) = (height as usize, width as usize);
         let frames = (0..count).map(|index| first + index * step);
         if self.path.is_file() {
-            let mut array = open_floats(&self.path, &[frame_count as usize, rows, columns])?;
+            let mut array = self.open(&self.path, &[frame_count as usize, rows, columns])?;
             for frame in frames {
-                take(&metres(array.entry(frame as usize).map_err(unreadable)?));
+                take(&metres(array.entry(frame as usize).map_err(unreadable)?, self.unit_m));
             }
             return Ok(());
         }
@@ -42,18 +42,37 @@ impl SourceDepth {
             let array = self.path.join(numbered(frame, "npy"));
             let exr = self.path.join(numbered(frame, "exr"));
             if exr.exists() {
-                take(&metres(read_exr(&exr, (width, height))?));
+                take(&metres(read_exr(&exr, (width, height))?, self.unit_m));
             } else if array.exists() {
-                let mut array = open_floats(&array, &[rows, columns])?;
-                take(&metres(array.all().map_err(unreadable)?));
+                let mut array = self.open(&array, &[rows, columns])?;
+                take(&metres(array.all().map_err(unreadable)?, self.unit_m));
             } else {
-                let millimetres = read_grey16(&self.path.join(numbered(frame, "png")), (width, height))?;
-                take(&metres(
-                    millimetres.iter().map(|&value| f64::from(value) / 1000.0).collect(),
-                ));
+                let steps = read_grey16(&self.path.join(numbered(frame, "png")), (width, height))?;
+                // Division by 1000 rounds correctly, multiplication by 0.001 twice.
+                let metre = |&step: &u16| match self.unit_m {
+                    Some(unit) => f64::from(step) * unit,
+                    None => f64::from(step) / 1000.0,
+                };
+                take(&metres(steps.iter().map(metre).collect(), None));
             }
         }
         Ok(())
+    }
+
+    /// A `.npy` file of depths: of this shape, perhaps with a last axis of 1; floats, or integers whose unit is said.
+    fn open(&self, path: &Path, shape: &[usize]) -> StageResult<NpyFile> {
+        let array = NpyFile::open(path).map_err(unreadable)?;
+        if array.shape().strip_suffix(&[1]) != Some(shape) {
+            array.expect_shape(shape).map_err(unreadable)?;
+        }
+        let is_float = matches!(array.dtype(), Dtype::F16 | Dtype::F32 | Dtype::F64);
+        if !is_float && self.unit_m.is_none() {
+            let what = format!("the values are {:?}, and their unit is not known", array.dtype());
+            return Err(wrong(path, what).with_hint(
+                "save floats in metres, or say `unit_m` beside the `path` of the depth (0.001 for millimetres)",
+            ));
+        }
+        Ok(array)
     }
 }
 
@@ -97,9 +116,10 @@ fn depth_channel(image: &FlatExr) -> Result<usize, String> {
     })
 }
 
-/// Unknown depth (NaN, infinite, 0 or less) becomes NaN.
-fn metres(values: Vec<f64>) -> Vec<f32> {
+/// Steps of a unit (`None`: metres) become metres; unknown depth (NaN, infinite, 0 or less) becomes NaN.
+fn metres(values: Vec<f64>, unit_m: Option<f64>) -> Vec<f32> {
     let one = |value: f64| {
+        let value = value * unit_m.unwrap_or(1.0);
         if value.is_finite() && value > 0.0 {
             value as f32
         } else {

@@ -44,7 +44,12 @@ impl FrameSource {
             return Ok(Self::Folder(path));
         }
         let info = video::probe(&path)?;
-        check_size(&path, (info.width, info.height), size)?;
+        check_size(&path, (info.width, info.height), size).map_err(|error| match info.notes.first() {
+            Some(note) => error.with_hint(format!(
+                "{note}; the episode's width and height are those of such images"
+            )),
+            None => error,
+        })?;
         if info.frames != u64::from(frame_count) {
             return Err(wrong(
                 &path,
@@ -72,7 +77,9 @@ impl FrameSource {
                     take(frame);
                     Ok(())
                 })?;
-                Ok(warning.map(|warning| format!("`{}`: the decoder complained: {warning}", path.display())))
+                let complaint = warning.map(|warning| format!("the decoder complained: {warning}"));
+                let told: Vec<String> = info.notes.iter().cloned().chain(complaint).collect();
+                Ok((!told.is_empty()).then(|| format!("`{}`: {}", path.display(), told.join("; "))))
             }
             Self::Folder(folder) => {
                 for index in 0..count {
@@ -92,7 +99,10 @@ pub(crate) fn numbered(index: u32, extension: &str) -> String {
 /// A folder must hold exactly the frames of the episode.
 fn check_folder(folder: &Path, frame_count: u32) -> StageResult<()> {
     let entries = std::fs::read_dir(folder).map_err(|error| io_error(folder, &error))?;
-    let is_png = |entry: &std::fs::DirEntry| entry.path().extension().is_some_and(|extension| extension == "png");
+    let is_png = |entry: &std::fs::DirEntry| {
+        let path = entry.path();
+        path.extension().is_some_and(|extension| extension == "png") && !rogs_files::is_stray(&entry.file_name())
+    };
     let found = entries.filter_map(Result::ok).filter(is_png).count();
     if found != frame_count as usize {
         return Err(wrong(

@@ -15,6 +15,11 @@ pub(crate) struct VideoInfo {
     pub(crate) frames: u64,
     /// Frames per second.
     pub(crate) fps: f64,
+    /// Quarter turns by which players show it, as its display matrix says; `width` and `height` are those of the turned
+    /// images.
+    pub(crate) quarter_turns: u32,
+    /// What a person should know about it.
+    pub(crate) notes: Vec<String>,
 }
 
 /// The video programs and what they can do.

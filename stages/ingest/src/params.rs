@@ -5,6 +5,8 @@ use rogs_worker::{StageError, StageResult};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::source::States;
+
 /// What to cut out of an episode, and how. The default is the paper's clip: 17 frames, sources 0, 4, 8, 12, 16, 280x154.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -204,6 +206,44 @@ pub struct StateColumns {
     pub gripper: Option<String>,
     /// The data has 1 for open: take 1 - value.
     pub invert_gripper: bool,
+    /// Gripper values of the data that mean open and closed, for example `[100, 0]` for percent of opening. `null`: 0 is
+    /// open and 1 closed. Values up to 2 % of the range beyond it are taken as its ends.
+    pub gripper_range: Option<[f64; 2]>,
+    /// Unit of the joint positions in the data, of every layout.
+    pub unit: AngleUnit,
+}
+
+/// Unit of joint positions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum AngleUnit {
+    /// Radians (and metres).
+    #[default]
+    Radians,
+    /// Degrees, of all joints.
+    Degrees,
+}
+
+impl StateColumns {
+    /// Brings positions and gripper of the data to radians and to 0 (open) to 1 (closed).
+    pub(crate) fn convert(&self, states: &mut States) {
+        if self.unit == AngleUnit::Degrees {
+            states
+                .positions
+                .iter_mut()
+                .for_each(|value| *value = value.to_radians());
+        }
+        for value in &mut states.gripper {
+            if let Some([open, closed]) = self.gripper_range {
+                let share = (*value - open) / (closed - open);
+                let beyond = (-0.02..=1.02).contains(&share);
+                *value = if beyond { share.clamp(0.0, 1.0) } else { share };
+            }
+            if self.invert_gripper {
+                *value = 1.0 - *value;
+            }
+        }
+    }
 }
 
 /// How the caches are used.
@@ -290,6 +330,13 @@ impl Params {
         if self.anchor_frame.is_some_and(|anchor| anchor.0 >= self.frames) {
             return wrong(format!("`anchor_frame` is not below `frames` {}", self.frames));
         }
+        if let Some([open, closed]) = self.states.gripper_range
+            && !(open.is_finite() && closed.is_finite() && open != closed)
+        {
+            return wrong(format!(
+                "invalid `states.gripper_range` {open}, {closed}: expected the values for open and closed, e.g. [100, 0]"
+            ));
+        }
         if let Some([near, far]) = self.depth_range_m
             && !(near.is_finite() && far.is_finite() && 0.0 <= near && near < far)
         {
@@ -310,5 +357,46 @@ impl Params {
             ));
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn states_of_other_units_are_converted() {
+        let states = |gripper: f64| States {
+            joint_names: vec!["a".into()],
+            positions: vec![180.0],
+            gripper: vec![gripper],
+        };
+        let percent = StateColumns {
+            unit: AngleUnit::Degrees,
+            gripper_range: Some([100.0, 0.0]),
+            ..StateColumns::default()
+        };
+        for (gripper, expected) in [
+            (100.0, 0.0),
+            (0.0, 1.0),
+            (25.0, 0.75),
+            (101.0, 0.0),
+            (-1.5, 1.0),
+            (150.0, -0.5),
+        ] {
+            let mut states = states(gripper);
+            percent.convert(&mut states);
+            assert_eq!(
+                (states.positions[0], states.gripper[0]),
+                (std::f64::consts::PI, expected)
+            );
+        }
+        let mut inverted = states(0.25);
+        let choice = StateColumns {
+            invert_gripper: true,
+            ..StateColumns::default()
+        };
+        choice.convert(&mut inverted);
+        assert_eq!((inverted.positions[0], inverted.gripper[0]), (180.0, 0.75));
     }
 }

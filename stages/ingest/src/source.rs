@@ -75,6 +75,8 @@ pub(crate) enum SourceMount {
 pub(crate) struct SourceDepth {
     /// `.npy` file or folder.
     pub(crate) path: PathBuf,
+    /// Metres of one step, where the episode says it.
+    pub(crate) unit_m: Option<f64>,
     pub(crate) range_m: [f32; 2],
     pub(crate) origin: ReferenceOrigin,
     /// Where it is in a cache, when the path is one.

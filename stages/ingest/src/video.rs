@@ -38,6 +38,15 @@ struct ProbeStream {
     nb_frames: Option<String>,
     nb_read_packets: Option<String>,
     avg_frame_rate: Option<String>,
+    sample_aspect_ratio: Option<String>,
+    #[serde(default)]
+    side_data_list: Vec<SideData>,
+}
+
+#[derive(Deserialize)]
+struct SideData {
+    /// Degrees against the clock; some versions of the program write whole numbers, some fractions.
+    rotation: Option<f64>,
 }
 
 /// Reads a video file's header and counts its frames.
@@ -60,7 +69,9 @@ pub(crate) fn probe(path: &Path) -> StageResult<VideoInfo> {
         "json",
         "-show_entries",
     ]);
-    command.arg("stream=codec_name,width,height,nb_frames,nb_read_packets,avg_frame_rate");
+    command.arg(
+        "stream=codec_name,width,height,nb_frames,nb_read_packets,avg_frame_rate,sample_aspect_ratio:stream_side_data=rotation",
+    );
     command.arg(url(path)).stdin(Stdio::null());
     let output = command.output().map_err(|error| no_program("ffprobe", &error))?;
     let problem = last_line(&output.stderr);
@@ -93,6 +104,12 @@ pub(crate) fn probe(path: &Path) -> StageResult<VideoInfo> {
             format!("its header declares {declared} frames but it holds {frames}: it is cut off"),
         ));
     }
+    let quarter_turns = quarter_turns(stream).map_err(|what| wrong(path, what))?;
+    let (width, height) = if quarter_turns % 2 == 1 {
+        (height, width)
+    } else {
+        (width, height)
+    };
     let fps = stream.avg_frame_rate.as_deref().and_then(rate).unwrap_or(0.0);
     Ok(VideoInfo {
         codec: stream.codec_name.clone(),
@@ -100,7 +117,42 @@ pub(crate) fn probe(path: &Path) -> StageResult<VideoInfo> {
         height,
         frames,
         fps,
+        quarter_turns,
+        notes: notes(stream, quarter_turns),
     })
+}
+
+/// Quarter turns of the display matrix.
+fn quarter_turns(stream: &ProbeStream) -> Result<u32, String> {
+    let degrees = stream
+        .side_data_list
+        .iter()
+        .find_map(|data| data.rotation)
+        .unwrap_or(0.0);
+    let quarters = degrees / 90.0;
+    if (quarters - quarters.round()).abs() > 1e-3 || quarters.abs() > 8.0 {
+        return Err(format!(
+            "its display matrix turns it by {degrees} degrees; save it turned (`ffmpeg -i IN OUT` does)"
+        ));
+    }
+    Ok(quarters.round().rem_euclid(4.0) as u32)
+}
+
+/// What the file says about how it is to be shown.
+fn notes(stream: &ProbeStream, quarter_turns: u32) -> Vec<String> {
+    let turned = (quarter_turns > 0).then(|| {
+        format!(
+            "its display matrix says that it is rotated by {} degrees: images are turned, as players show them",
+            90 * quarter_turns
+        )
+    });
+    let square = |aspect: &&String| !matches!(aspect.as_str(), "1:1" | "0:1" | "N/A" | "");
+    let aspect = stream.sample_aspect_ratio.as_ref().filter(square).map(|aspect| {
+        format!(
+            "its pixels have the aspect {aspect}: images are read as stored, intrinsics must be those of stored pixels"
+        )
+    });
+    turned.into_iter().chain(aspect).collect()
 }
 
 /// Decodes `count` frames, `first`, `first + step`, ..., and hands each to `take` as RGB. `[h, w, 3]`
@@ -120,6 +172,14 @@ pub(crate) fn decode(
         ));
     }
     #[cfg(feature = "libav")]
+    if info.quarter_turns != 0 {
+        return Err(wrong(
+            path,
+            "it is rotated by its display matrix, which builds with `libav` do not read",
+        )
+        .with_hint("save it turned (`ffmpeg -i IN OUT` does)"));
+    }
+    #[cfg(feature = "libav")]
     return crate::video_libav::decode(path, info, (first, step, count), take);
     #[cfg(not(feature = "libav"))]
     decode_by_program(path, info, (first, step, count), take)
@@ -134,7 +194,10 @@ fn decode_by_program(
     mut take: impl FnMut(u64, &[u8]) -> StageResult<()>,
 ) -> StageResult<Option<String>> {
     let mut command = Command::new("ffmpeg");
-    command.args(["-v", "error", "-nostdin", "-xerror", "-noautorotate"]);
+    command.args(["-v", "error", "-nostdin", "-xerror"]);
+    if info.quarter_turns == 0 {
+        command.arg("-noautorotate");
+    }
     command.args(["-protocol_whitelist", "file", "-format_whitelist", FORMATS]);
     command.arg("-i").arg(url(path)).args(["-map", "0:v:0"]);
     command.args(["-vf", &format!("select='gte(n,{first})*not(mod(n-{first},{step}))'")]);
@@ -253,6 +316,32 @@ mod tests {
         .unwrap();
         assert_eq!(by_library.len(), 5);
         assert!(by_library == by_program, "frames differ");
+    }
+
+    #[test]
+    fn what_a_video_says_about_its_display_is_honoured_or_told() {
+        let stream =
+            |rest: &str| serde_json::from_str::<ProbeStream>(&format!("{{\"codec_name\":\"h264\"{rest}}}")).unwrap();
+        let rotated = |degrees: &str| stream(&format!(",\"side_data_list\":[{{}},{{\"rotation\":{degrees}}}]"));
+        for (degrees, expected) in [
+            ("0", 0),
+            ("-90", 3),
+            ("90", 1),
+            ("-180", 2),
+            ("180", 2),
+            ("270.0", 3),
+            ("-450", 3),
+        ] {
+            assert_eq!(quarter_turns(&rotated(degrees)), Ok(expected), "{degrees}");
+        }
+        assert!(quarter_turns(&rotated("45")).unwrap_err().contains("45 degrees"));
+        assert_eq!(quarter_turns(&stream("")), Ok(0));
+        assert_eq!(notes(&stream(""), 0), Vec::<String>::new());
+        assert!(notes(&stream(""), 2)[0].contains("rotated by 180"));
+        assert!(notes(&stream(",\"sample_aspect_ratio\":\"4:3\""), 0)[0].contains("4:3"));
+        for square in ["1:1", "0:1", "N/A"] {
+            assert!(notes(&stream(&format!(",\"sample_aspect_ratio\":\"{square}\"")), 0).is_empty());
+        }
     }
 
     #[test]

@@ -288,6 +288,7 @@ fn description(episode: &Episode, model: &str) -> layout::Episode {
             },
             depth: Some(layout::EpisodeDepth {
                 path: format!("depth/{name}.npy"),
+                unit_m: None,
                 range_m: [0.1, 5.0],
                 origin: ReferenceOrigin::Exact,
             }),

@@ -163,7 +163,9 @@ pub(super) fn refuse_other_formats(root: Node<'_, '_>) -> Checked<()> {
     match root.tag_name().name() {
         "robot" => {}
         "mujoco" => {
-            return Err("it is a MuJoCo model (MJCF), not a URDF; convert it, or name the URDF it was made from".into());
+            return Err(
+                "it is a MuJoCo model (MJCF), not a URDF; convert it, or name the URDF it was made from".into(),
+            );
         }
         "sdf" | "gazebo" | "world" => {
             return Err(

@@ -220,15 +220,15 @@ impl Rows {
         let positions = (0..self.table.rows)
             .flat_map(|row| columns.iter().map(move |column| column[row]))
             .collect();
-        let closed = |value: f64| if choice.invert_gripper { 1.0 - value } else { value };
-        let gripper = self.entry(&gripper)?.into_iter().map(closed).collect();
+        let gripper = self.entry(&gripper)?;
         let names: Vec<String> = joints.into_iter().map(|(name, _)| name).collect();
         let joint_names = urdf_names(names, choice, dataset.info.robot_type.as_deref(), &self.path)?;
-        let states = States {
+        let mut states = States {
             joint_names,
             positions,
             gripper,
         };
+        choice.convert(&mut states);
         checks::states(&states, "frame", &self.path)?;
         Ok(states)
     }
@@ -285,8 +285,9 @@ fn state_entries(dataset: &Dataset, choice: &StateColumns, path: &Path) -> Stage
     let gripper = match &choice.gripper {
         Some(name) => in_state(name).ok_or_else(|| unknown(name))?,
         None if features.contains_key(own_gripper) => (own_gripper.to_owned(), 0),
-        None => in_state("gripper")
-            .or_else(|| in_state("gripper_position"))
+        None => ["gripper", "gripper_position", "gripper.pos", "main_gripper"]
+            .iter()
+            .find_map(|name| in_state(name))
             .ok_or_else(|| {
                 wrong(path, "the data names no gripper state").with_hint(format!(
                     "set `ingest.states.gripper` to the entry of `observation.state` with the gripper (0 to 1); it has {}",
@@ -349,6 +350,14 @@ fn urdf_names(names: Vec<String>, choice: &StateColumns, robot: Option<&str>, pa
     }
     if names.len() > 64 {
         return Err(wrong(path, format!("{} joints are too many", names.len())));
+    }
+    // LeRobot calls positions `NAME.pos` where a robot has other quantities too; the URDF has `NAME`.
+    if let Some(bare) = names
+        .iter()
+        .map(|name| name.strip_suffix(".pos").map(str::to_owned))
+        .collect()
+    {
+        return Ok(bare);
     }
     Ok(names)
 }

@@ -59,7 +59,7 @@ pub(crate) fn open(root: &Path, calibration: Option<&Path>, params: &Params) -> 
     };
     let calibration = calibration.map(Calibration::read).transpose()?;
     match layout {
-        Layout::RogsEpisode => rogs_episode::open(root, calibration.as_ref()),
+        Layout::RogsEpisode => rogs_episode::open(root, calibration.as_ref(), &params.states),
         Layout::DroidCtrlworld => ctrlworld::open(root, calibration, &params.episode),
         Layout::Lerobot => lerobot::open(root, calibration.as_ref(), params),
     }

@@ -17,6 +17,7 @@ use crate::checks;
 use crate::depth::open_floats;
 use crate::fault::{inside, read_text, unreadable, wrong};
 use crate::images::FrameSource;
+use crate::params::StateColumns;
 use crate::source::{Source, SourceCamera, SourceDepth, SourceMount, SourceTracks, States};
 
 /// Longest `episode.json`, bytes.
@@ -47,7 +48,7 @@ pub(crate) fn read_description(root: &Path) -> StageResult<Episode> {
 }
 
 /// Opens an episode folder.
-pub(crate) fn open(root: &Path, calibration: Option<&Calibration>) -> StageResult<Source> {
+pub(crate) fn open(root: &Path, calibration: Option<&Calibration>, choice: &StateColumns) -> StageResult<Source> {
     let path = root.join(EPISODE_FILE);
     let episode = read_description(root)?;
     if !(1..=MAX_FRAMES).contains(&episode.frame_count) {
@@ -64,7 +65,7 @@ pub(crate) fn open(root: &Path, calibration: Option<&Calibration>) -> StageResul
         return Err(wrong(&path, format!("two cameras are named `{}`", camera.id)));
     }
     let frames = episode.frame_count;
-    let (states, times, warnings) = read_states(root, &path, &episode.robot, frames, episode.fps)?;
+    let (states, times, warnings) = read_states(root, &path, &episode.robot, (frames, episode.fps), choice)?;
     let times_ms: Option<Vec<f64>> =
         (!times.is_empty()).then(|| times.iter().map(|seconds| 1000.0 * seconds).collect());
     let cameras: StageResult<Vec<SourceCamera>> = episode
@@ -158,8 +159,13 @@ fn open_camera(
         None => None,
     };
     let depth = match &camera.depth {
+        Some(depth) if depth.unit_m.is_some_and(|unit| !(1e-9..1e3).contains(&unit)) => {
+            let what = format!("`unit_m` of the depth of camera `{id}` must be metres a step, e.g. 0.001");
+            return Err(wrong(path, what));
+        }
         Some(depth) => Some(SourceDepth {
             path: inside(root, &depth.path, path)?,
+            unit_m: depth.unit_m,
             range_m: depth.range_m,
             origin: depth.origin,
             cached: None,
@@ -202,8 +208,8 @@ fn read_states(
     root: &Path,
     json: &Path,
     robot: &EpisodeRobot,
-    frames: u32,
-    fps: f64,
+    (frames, fps): (u32, f64),
+    choice: &StateColumns,
 ) -> StageResult<(States, Vec<f64>, Vec<String>)> {
     let path = inside(root, &robot.states, json)?;
     let text = read_text(&path, MAX_CSV)?;
@@ -273,6 +279,7 @@ fn read_states(
             ),
         ));
     }
+    choice.convert(&mut states);
     checks::states(&states, "row", &path)?;
     let warnings = checks::times(&times, fps, &path)?;
     Ok((states, times, warnings.into_iter().collect()))

@@ -82,6 +82,7 @@ pub(crate) fn description() -> Episode {
     );
     ext1.depth = Some(EpisodeDepth {
         path: "ext1_depth.npy".into(),
+        unit_m: None,
         range_m: [0.2, 4.0],
         origin: ReferenceOrigin::DepthCamera,
     });
@@ -93,6 +94,7 @@ pub(crate) fn description() -> Episode {
     right.pixel_centres = PixelCentres::Integer;
     right.depth = Some(EpisodeDepth {
         path: "right_depth".into(),
+        unit_m: None,
         range_m: [0.1, 5.0],
         origin: ReferenceOrigin::NotStated,
     });
