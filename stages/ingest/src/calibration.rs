@@ -181,7 +181,7 @@ impl Calibration {
 }
 
 /// Names under which calibration tools write lens distortion, beside those that begin with `dist` or contain `distortion`.
-const COEFFICIENTS: [&str; 14] = [
+const COEFFICIENTS: [&str; 13] = [
     "d",
     "k1",
     "k2",

@@ -146,8 +146,8 @@ fn notes(stream: &ProbeStream, quarter_turns: u32) -> Vec<String> {
             90 * quarter_turns
         )
     });
-    let square = |aspect: &&String| !matches!(aspect.as_str(), "1:1" | "0:1" | "N/A" | "");
-    let aspect = stream.sample_aspect_ratio.as_ref().filter(square).map(|aspect| {
+    let odd = |aspect: &&String| !matches!(aspect.as_str(), "1:1" | "0:1" | "N/A" | "");
+    let aspect = stream.sample_aspect_ratio.as_ref().filter(odd).map(|aspect| {
         format!(
             "its pixels have the aspect {aspect}: images are read as stored, intrinsics must be those of stored pixels"
         )
