@@ -192,7 +192,6 @@ const COEFFICIENTS: [&str; 13] = [
     "p1",
     "p2",
     "xi",
-    "alpha",
     "radial",
     "tangential",
     "coeffs",
