@@ -31,6 +31,18 @@ pub(crate) enum Kind {
     Other,
 }
 
+impl Kind {
+    /// By the name of a type in a header.
+    fn of(name: &str) -> Self {
+        match name {
+            "float" | "float32" => Self::Float,
+            "double" | "float64" => Self::Double,
+            "uchar" | "uint8" => Self::Byte,
+            _ => Self::Other,
+        }
+    }
+}
+
 impl Property {
     /// Stands where none is known yet.
     pub(crate) const NONE: Self = Self {
@@ -141,12 +153,7 @@ impl Header {
                         }
                         let place = Property {
                             offset: header.stride,
-                            kind: match kind {
-                                "float" | "float32" => Kind::Float,
-                                "double" | "float64" => Kind::Double,
-                                "uchar" | "uint8" => Kind::Byte,
-                                _ => Kind::Other,
-                            },
+                            kind: Kind::of(kind),
                         };
                         if header.properties.len() >= MAX_PROPERTIES {
                             return Err(problem("too many properties"));

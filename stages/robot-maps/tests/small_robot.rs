@@ -6,7 +6,9 @@ use std::path::Path;
 
 use rogs_robot_maps::{Params, Robot, build};
 use rogs_schemas::key::{KeyMaterial, Provenance};
-use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates};
+use rogs_schemas::records::clip::{
+    CameraMount, CameraRole, Clip, ClipCamera, DepthReference, ReferenceOrigin, RobotStates,
+};
 use rogs_schemas::records::robot::{NO_LINK, RobotMaps, RobotSpec};
 use rogs_schemas::{EpisodeFrame, FrameIndex, Intrinsics, RigidPose};
 use rogs_worker::{Observer, Unobserved};
@@ -294,6 +296,7 @@ fn reference_depth_in_another_unit_is_told_by_its_factor() {
         clip.cameras[1].depth = Some(DepthReference {
             depth_m: depth_m.collect(),
             range_m: [0.1, 5.0],
+            origin: ReferenceOrigin::DepthCamera,
         });
         assert_eq!(
             maps.maps[FRAMES..].len() * pixels,
