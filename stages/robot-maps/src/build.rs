@@ -244,13 +244,13 @@ fn depth_warnings(clip: &Clip, maps: &[RobotMap]) -> Vec<String> {
     /// Fewer pixels tell nothing.
     const ENOUGH: usize = 20;
     let pixels = clip.height as usize * clip.width as usize;
-    let warning = |index: u32| {
-        let camera = &clip.cameras[index as usize];
+    let warning = |index: CameraIndex| {
+        let camera = &clip.cameras[index.at()];
         let reference = camera.depth.as_ref()?;
         let of_camera = maps.iter().filter(|map| map.camera == index);
         let mut ratios: Vec<f64> = of_camera
             .flat_map(|map| {
-                let depth_m = &reference.depth_m[map.frame as usize * pixels..][..pixels];
+                let depth_m = &reference.depth_m[map.frame.at() * pixels..][..pixels];
                 let supported = map.support.iter().zip(&map.depth_m).zip(depth_m);
                 supported
                     .filter(|((support, mesh), depth)| **support == 1 && **mesh > 0.0 && depth.is_finite())
