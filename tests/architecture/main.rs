@@ -78,8 +78,8 @@ fn dependencies_point_one_way() {
     let is_stage = |name: &str| name.strip_prefix("rogs-").is_some_and(|name| stages.contains(&name));
     let allowed = |name: &str| -> &[&str] {
         match name {
-            "rogs-files" | "rogs-robot-files" | "rogs-schemas" | "rogs-arrays" | "rogs-random" | "rogs-pages" | "rogs-kernels"
-            | "rogs-weights" => &[],
+            "rogs-files" | "rogs-robot-files" | "rogs-schemas" | "rogs-arrays" | "rogs-random" | "rogs-pages"
+            | "rogs-kernels" | "rogs-weights" => &[],
             "rogs-geometry" => &["rogs-schemas"],
             "rogs-r4c" => &["rogs-schemas", "rogs-robot-files"],
             "rogs-worker" => &["rogs-schemas", "rogs-r4c"],
