@@ -7,8 +7,7 @@ use std::collections::BTreeMap;
 
 use roxmltree::Node;
 
-use super::urdf::Checked;
-use super::xml::line;
+use super::xml::{Parsed, line};
 
 /// What was left aside: one note for each kind, with the first place and the number.
 #[derive(Debug, Default)]
@@ -154,7 +153,7 @@ const ATTRIBUTES: [(&str, &[&str]); 16] = [
 ];
 
 /// Files that stand where a URDF is expected: what they are, and how a URDF is made of them.
-pub(super) fn refuse_other_formats(root: Node<'_, '_>) -> Checked<()> {
+pub(super) fn refuse_other_formats(root: Node<'_, '_>) -> Parsed<()> {
     let xacro = |at: u32| {
         Err(format!(
             "line {at}: it is a xacro file, a template; expand it first: `xacro robot.urdf.xacro > robot.urdf`"

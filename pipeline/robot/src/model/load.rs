@@ -7,8 +7,9 @@ use glam::DVec3;
 use rogs_geometry::{Link, Pose, rotation_about_axis};
 
 use super::known::Notes;
-use super::urdf::{Checked, Description, JointElement, JointType, parse};
-use super::{Joint, JointKind, Mimic, RobotFolder, RobotLink, RobotModel, read_capped, xml};
+use super::urdf::{Description, JointElement, JointType, parse};
+use super::xml::{self, Parsed};
+use super::{Joint, JointKind, Mimic, RobotFolder, RobotLink, RobotModel, read_capped};
 use crate::error::{Error, Result};
 
 const MAX_BYTES: u64 = 4 << 20;
@@ -44,7 +45,7 @@ pub(super) fn load(path: &Path) -> Result<RobotModel> {
     })
 }
 
-fn model(text: &str) -> Checked<(Description, usize, Vec<Joint>)> {
+fn model(text: &str) -> Parsed<(Description, usize, Vec<Joint>)> {
     let mut description = parse(text)?;
     let mut notes = std::mem::take(&mut description.notes);
     let root_link = check_tree(&description)?;
@@ -54,7 +55,7 @@ fn model(text: &str) -> Checked<(Description, usize, Vec<Joint>)> {
 }
 
 /// Checks names and tree shape and returns the index of the root link.
-fn check_tree(robot: &Description) -> Checked<usize> {
+fn check_tree(robot: &Description) -> Parsed<usize> {
     if robot.links.len() > MAX_LINKS {
         return Err(format!(
             "it has {} links, at most {MAX_LINKS} are supported",
@@ -130,7 +131,7 @@ fn depth_first(robot: &Description, root_link: usize) -> Vec<&JointElement> {
 }
 
 /// The joints of a checked tree, parents first.
-fn joints(robot: &Description, root_link: usize, notes: &mut Notes) -> Checked<Vec<Joint>> {
+fn joints(robot: &Description, root_link: usize, notes: &mut Notes) -> Parsed<Vec<Joint>> {
     let id_of: BTreeMap<&str, usize> = robot
         .links
         .iter()
@@ -204,7 +205,7 @@ fn joint_kind(joint: &JointElement, notes: &mut Notes) -> JointKind {
     }
 }
 
-fn joint_axis(joint: &JointElement, kind: JointKind) -> Checked<DVec3> {
+fn joint_axis(joint: &JointElement, kind: JointKind) -> Parsed<DVec3> {
     if kind == JointKind::Fixed {
         return Ok(DVec3::X);
     }
@@ -218,7 +219,7 @@ fn joint_axis(joint: &JointElement, kind: JointKind) -> Checked<DVec3> {
 
 /// The limits of a joint. Of two limits one that is not written is 0, as the standard says; where neither is, none are
 /// known: only a mimic joint and one that turns without end may do so unnoted.
-fn joint_limits(joint: &JointElement, kind: JointKind, notes: &mut Notes) -> Checked<Option<[f64; 2]>> {
+fn joint_limits(joint: &JointElement, kind: JointKind, notes: &mut Notes) -> Parsed<Option<[f64; 2]>> {
     if kind == JointKind::Fixed || joint.kind == JointType::Continuous {
         return Ok(None);
     }
@@ -261,7 +262,7 @@ fn follow<'a>(
     kind: JointKind,
     by_name: &BTreeMap<&str, &'a JointElement>,
     notes: &mut Notes,
-) -> Checked<Follows<'a>> {
+) -> Parsed<Follows<'a>> {
     let Some(first) = &joint.mimic else {
         return Ok(Follows::Nothing);
     };

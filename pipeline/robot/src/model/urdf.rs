@@ -8,7 +8,7 @@ use roxmltree::Node;
 
 use super::guard::XmlLimits;
 use super::known::{Notes, is_foreign, look_over, refuse_other_formats, written_name};
-use super::xml::{child, line, with_root};
+use super::xml::{Parsed, child, line, with_root};
 use super::{Geometry, Shape};
 use rogs_geometry::{Link, Pose};
 
@@ -17,9 +17,6 @@ pub(super) const LIMITS: XmlLimits = XmlLimits {
     attributes: 40,
     elements: 100_000,
 };
-
-/// Message of a reader; the caller knows the path.
-pub(super) type Checked<T> = Result<T, String>;
 
 /// A robot as its file describes it.
 #[derive(Debug)]
@@ -87,14 +84,14 @@ pub(super) struct MimicElement {
 ///
 /// # Errors
 /// When it is no URDF, or an element that is used is incomplete or has numbers that are none; with the line.
-pub(super) fn parse(text: &str) -> Checked<Description> {
+pub(super) fn parse(text: &str) -> Parsed<Description> {
     if !text.trim_start().starts_with('<') {
         return Err("it is no XML: a URDF begins with `<?xml` or `<robot`".into());
     }
     with_root(text, LIMITS, robot)
 }
 
-fn robot(root: Node<'_, '_>) -> Checked<Description> {
+fn robot(root: Node<'_, '_>) -> Parsed<Description> {
     refuse_other_formats(root)?;
     let mut description = Description {
         name: root.attribute("name").unwrap_or_default().trim().to_owned(),
@@ -123,14 +120,14 @@ fn robot(root: Node<'_, '_>) -> Checked<Description> {
     Ok(description)
 }
 
-fn name_of(node: Node<'_, '_>, what: &str) -> Checked<String> {
+fn name_of(node: Node<'_, '_>, what: &str) -> Parsed<String> {
     match node.attribute("name").map(str::trim) {
         Some(name) if !name.is_empty() => Ok(name.to_owned()),
         _ => Err(format!("line {}: a {what} without a name", line(node))),
     }
 }
 
-fn link(node: Node<'_, '_>, notes: &mut Notes) -> Checked<LinkElement> {
+fn link(node: Node<'_, '_>, notes: &mut Notes) -> Parsed<LinkElement> {
     let name = name_of(node, "link")?;
     let owner = format!("link `{name}`");
     look_over(node, &owner, notes);
@@ -153,7 +150,7 @@ fn link(node: Node<'_, '_>, notes: &mut Notes) -> Checked<LinkElement> {
 }
 
 /// The shape of a `visual` or `collision`; `None` where there is nothing to show.
-fn shape(node: Node<'_, '_>, owner: &str, notes: &mut Notes) -> Checked<Option<Shape>> {
+fn shape(node: Node<'_, '_>, owner: &str, notes: &mut Notes) -> Parsed<Option<Shape>> {
     let place = format!("line {}, {owner}", line(node));
     let geometry = child(node, "geometry");
     if let Some(geometry) = geometry {
@@ -175,10 +172,10 @@ fn shape(node: Node<'_, '_>, owner: &str, notes: &mut Notes) -> Checked<Option<S
     }))
 }
 
-fn geometry_of(node: Node<'_, '_>, owner: &str, notes: &mut Notes) -> Checked<Option<Geometry>> {
+fn geometry_of(node: Node<'_, '_>, owner: &str, notes: &mut Notes) -> Parsed<Option<Geometry>> {
     let place = format!("line {}, {owner}", line(node));
     let name = node.tag_name().name();
-    let required = |attribute: &str| -> Checked<[f64; 1]> {
+    let required = |attribute: &str| -> Parsed<[f64; 1]> {
         numbers(node, attribute, &place)?.ok_or_else(|| format!("{place}: a `{name}` needs `{attribute}`"))
     };
     let geometry = match name {
@@ -223,7 +220,7 @@ fn geometry_of(node: Node<'_, '_>, owner: &str, notes: &mut Notes) -> Checked<Op
     Ok(Some(geometry))
 }
 
-fn mesh(node: Node<'_, '_>, place: &str, notes: &mut Notes) -> Checked<Geometry> {
+fn mesh(node: Node<'_, '_>, place: &str, notes: &mut Notes) -> Parsed<Geometry> {
     let reference = node.attribute("filename").unwrap_or_default().trim();
     if reference.is_empty() {
         return Err(format!("{place}: a `mesh` names no file (`filename`)"));
@@ -250,7 +247,7 @@ fn mesh(node: Node<'_, '_>, place: &str, notes: &mut Notes) -> Checked<Geometry>
 }
 
 /// The pose in the `origin` below a node; the identity without one.
-fn origin(node: Node<'_, '_>, owner: &str, notes: &mut Notes) -> Checked<Pose<Link, Link>> {
+fn origin(node: Node<'_, '_>, owner: &str, notes: &mut Notes) -> Parsed<Pose<Link, Link>> {
     let Some(origin) = child(node, "origin") else {
         return Ok(Pose::IDENTITY);
     };
@@ -277,7 +274,7 @@ fn origin(node: Node<'_, '_>, owner: &str, notes: &mut Notes) -> Checked<Pose<Li
     ))
 }
 
-fn joint(node: Node<'_, '_>, notes: &mut Notes) -> Checked<JointElement> {
+fn joint(node: Node<'_, '_>, notes: &mut Notes) -> Parsed<JointElement> {
     let name = name_of(node, "joint")?;
     let owner = format!("joint `{name}`");
     let place = format!("line {}, {owner}", line(node));
@@ -334,7 +331,7 @@ fn joint(node: Node<'_, '_>, notes: &mut Notes) -> Checked<JointElement> {
 }
 
 /// The limits of a joint that has a use for them; an infinite one is none.
-fn read_limit(node: Node<'_, '_>, kind: JointType, place: &str) -> Checked<Limit> {
+fn read_limit(node: Node<'_, '_>, kind: JointType, place: &str) -> Parsed<Limit> {
     let mut limit = Limit {
         lower: None,
         upper: None,
@@ -354,12 +351,12 @@ fn read_limit(node: Node<'_, '_>, kind: JointType, place: &str) -> Checked<Limit
     Ok(limit)
 }
 
-fn read_mimic(node: Node<'_, '_>, place: &str) -> Checked<MimicElement> {
+fn read_mimic(node: Node<'_, '_>, place: &str) -> Parsed<MimicElement> {
     let joint = node.attribute("joint").unwrap_or_default().trim();
     if joint.is_empty() {
         return Err(format!("{place}: its mimic names no joint"));
     }
-    let number = |attribute: &str, default: f64| -> Checked<f64> {
+    let number = |attribute: &str, default: f64| -> Parsed<f64> {
         Ok(numbers::<1>(node, attribute, place)?.map_or(default, |[value]| value))
     };
     Ok(MimicElement {
@@ -370,7 +367,7 @@ fn read_mimic(node: Node<'_, '_>, place: &str) -> Checked<MimicElement> {
 }
 
 /// The `N` finite numbers of an attribute; `None` where it is not there or empty.
-fn numbers<const N: usize>(node: Node<'_, '_>, attribute: &str, place: &str) -> Checked<Option<[f64; N]>> {
+fn numbers<const N: usize>(node: Node<'_, '_>, attribute: &str, place: &str) -> Parsed<Option<[f64; N]>> {
     let Some(text) = node.attribute(attribute).map(str::trim).filter(|text| !text.is_empty()) else {
         return Ok(None);
     };

@@ -8,7 +8,7 @@ use roxmltree::{Document, Node, ParsingOptions};
 use super::guard::{XmlLimits, check_xml};
 
 /// Message of a reader; the caller knows the path.
-type Parsed<T> = Result<T, String>;
+pub(crate) type Parsed<T> = Result<T, String>;
 
 /// Most prefixes without a declaration that are declared for the file.
 const MAX_UNDECLARED: usize = 16;
