@@ -172,13 +172,59 @@ pub(crate) fn from_toml_error(text: &Text, error: &toml::de::Error) -> Error {
     let message = error.message().trim().replace('\n', ", ");
     let at = error.span().map(|span| line_and_column(&text.text, span.start));
     let meant = unknown_name(&message).and_then(|(_, meant)| meant.map(str::to_owned));
+    let line = at
+        .and_then(|(line, _)| text.text.lines().nth(line - 1))
+        .unwrap_or_default();
+    // A path of Windows in double quotes: `"C:\Users"` asks for a character by its number, `"D:\data"` for none there is.
+    let escape =
+        line.contains('"') && line.contains('\\') && ["escape", "unicode"].iter().any(|word| message.contains(word));
+    let (message, hint) = if escape {
+        let message = "in double quotes a backslash begins an escape, and this is none".to_owned();
+        (message, Some(WINDOWS_PATHS.to_owned()))
+    } else {
+        (message, None)
+    };
     let error = Error::Manifest {
         path: text.path.clone(),
         place: Place { at },
         message,
-        hint: None,
+        hint,
     };
     suggest(error, meant.as_deref())
+}
+
+const WINDOWS_PATHS: &str = "write paths with `/`, or in single quotes, where a backslash is a backslash";
+
+/// What to do about a path of a manifest at which nothing is.
+pub(crate) fn path_hint(path: &Path) -> &'static str {
+    let text = path.to_string_lossy();
+    if text.contains(|c: char| c.is_control()) {
+        // `"D:\temp\new"` is read with a tab and a line end in it.
+        return "in double quotes a backslash begins an escape (`\\t` is a tab): write paths with `/` or in single quotes";
+    }
+    if text.contains('\\') {
+        return "a backslash separates no folders on this system: write paths with `/`";
+    }
+    let has = |sign: &str| {
+        path.components()
+            .any(|part| part.as_os_str().to_string_lossy().starts_with(sign))
+    };
+    if has("~") || has("$") {
+        return "`~` and variables such as `$HOME` are not expanded: write the path out, or relative to the manifest's folder";
+    }
+    "paths in a manifest are relative to the manifest's folder"
+}
+
+/// A path for a message: control characters are shown as escapes.
+pub(crate) fn shown(path: &Path) -> String {
+    let escaped = |c: char| {
+        if c.is_control() {
+            c.escape_default().to_string()
+        } else {
+            c.to_string()
+        }
+    };
+    path.to_string_lossy().chars().map(escaped).collect()
 }
 
 /// Line and column, from 1, of a byte offset.
@@ -195,6 +241,30 @@ mod tests {
 
     const TEXT: &str = "[run]\nname = \"n\"\n[[variants]]\nname = \"a\"\nlift.seed = 1\n[[variants]]\nname = \"b\"\n\
                         lift = { seed = 2 }\n[robot]\nlist = [{ x = 1 }, { y = 2 }]\n";
+
+    #[test]
+    fn paths_of_other_worlds_get_a_way_on() {
+        let manifest = |text: &str| {
+            let source = Text::new(Path::new("m.toml"), text);
+            from_toml_error(&source, &toml::from_str::<toml::Table>(text).unwrap_err())
+        };
+        for text in ["a = \"C:\\Users\"\n", "a = \"D:\\data\"\n", "b = 1\na = \"C:\\x\"\n"] {
+            let error = manifest(text);
+            assert!(error.to_string().contains("a backslash begins an escape"), "{error}");
+            assert_eq!(error.hint(), Some(WINDOWS_PATHS));
+        }
+        assert_eq!(manifest("a = \n").hint(), None);
+        for (path, words) in [
+            ("/m/D:\temp\new", "single quotes"),
+            ("/m/D:\\data", "with `/`"),
+            ("/m/~/episodes", "not expanded"),
+            ("/m/$HOME/episodes", "not expanded"),
+            ("/m/episodes", "relative to the manifest's folder"),
+        ] {
+            assert!(path_hint(Path::new(path)).contains(words), "{path:?}");
+        }
+        assert_eq!(shown(Path::new("a\tb")), "a\\tb");
+    }
 
     #[test]
     fn places_of_keys_and_elements_are_found_or_the_nearest_around_them() {

@@ -14,7 +14,7 @@ use super::model::{Plan, PlannedClip, PlannedSource, latents_file};
 use super::params::normalise_overrides;
 use super::rollouts::RolloutFolder;
 use super::selection::read_selection;
-use crate::diagnose::{At, Text};
+use crate::diagnose::{At, Text, path_hint, shown};
 use crate::error::Result;
 use crate::manifest::{Cut, Episode, Input, Manifest, Params, safe_name};
 use crate::programs::{ListedEpisode, StagePrograms};
@@ -283,8 +283,8 @@ impl Listings<'_> {
             return Ok(&self.known[root]);
         }
         if !root.is_dir() {
-            let error = text.error(at, format!("`{}` is not a folder", root.display()));
-            return Err(error.with_hint("paths in a manifest are relative to the manifest's folder"));
+            let error = text.error(at, format!("`{}` is not a folder", shown(root)));
+            return Err(error.with_hint(path_hint(root)));
         }
         let episodes = self.programs.list_episodes(root)?;
         if episodes.is_empty() {
@@ -530,8 +530,8 @@ fn predictions(plan: &Plan, id: &str, sources: &SourceCache) -> Result<Vec<Optio
 
 fn calibration(plan: &mut Plan, path: &Path, at: At<'_>, text: &Text, sources: &SourceCache) -> Result<u32> {
     if !path.is_file() {
-        let error = text.error(at, format!("calibration file `{}` is not there", path.display()));
-        return Err(error.with_hint("paths in a manifest are relative to the manifest's folder"));
+        let error = text.error(at, format!("calibration file `{}` is not there", shown(path)));
+        return Err(error.with_hint(path_hint(path)));
     }
     let content = sources.source("calibration", path)?;
     plan.calibrations.push(PlannedSource {

@@ -10,7 +10,7 @@ use rogs_schemas::protocol::{Description, InputDescription};
 use serde_json::{Map, Value};
 
 use super::model::{InputSource, Node, NodeInput, PlannedSource};
-use crate::diagnose::{At, Text};
+use crate::diagnose::{At, Text, path_hint, shown};
 use crate::error::{Error, Result};
 use crate::manifest::{Manifest, Params, Prediction, Setting, Variant};
 use crate::programs::StagePrograms;
@@ -488,8 +488,8 @@ impl<'a> Builder<'a> {
 
     fn source(&self, role: &str, path: &Path, at: At<'_>) -> Result<InputSource> {
         if !path.exists() {
-            let error = self.text.error(at, format!("`{}` is not there", path.display()));
-            return Err(error.with_hint("paths in a manifest are relative to the manifest's folder"));
+            let error = self.text.error(at, format!("`{}` is not there", shown(path)));
+            return Err(error.with_hint(path_hint(path)));
         }
         Ok(InputSource::Source(PlannedSource {
             path: path.to_owned(),
