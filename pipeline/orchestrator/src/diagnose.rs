@@ -251,7 +251,7 @@ mod tests {
         for text in ["a = \"C:\\Users\"\n", "a = \"D:\\data\"\n", "b = 1\na = \"C:\\x\"\n"] {
             let error = manifest(text);
             assert!(error.to_string().contains("a backslash begins an escape"), "{error}");
-            assert_eq!(error.hint(), Some(WINDOWS_PATHS));
+            assert_eq!(error.hint().as_deref(), Some(WINDOWS_PATHS));
         }
         assert_eq!(manifest("a = \n").hint(), None);
         for (path, words) in [
