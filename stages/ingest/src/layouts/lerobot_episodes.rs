@@ -419,7 +419,10 @@ impl Lines {
 
 fn sorted(folder: &Path) -> StageResult<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).map_err(|error| io_error(folder, &error))?;
-    let mut paths: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
+    let data = entries
+        .filter_map(Result::ok)
+        .filter(|entry| !rogs_files::is_stray(&entry.file_name()));
+    let mut paths: Vec<PathBuf> = data.map(|entry| entry.path()).collect();
     paths.sort();
     Ok(paths)
 }

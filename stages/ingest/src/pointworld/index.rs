@@ -51,7 +51,11 @@ fn walk(
     shards: &mut Vec<String>,
 ) -> StageResult<()> {
     let entries = std::fs::read_dir(folder).map_err(|error| io_error(folder, &error))?;
-    let mut paths: Vec<_> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
+    let mut paths: Vec<_> = entries
+        .filter_map(Result::ok)
+        .filter(|entry| !rogs_files::is_stray(&entry.file_name()))
+        .map(|entry| entry.path())
+        .collect();
     paths.sort();
     for path in paths {
         let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
