@@ -250,7 +250,7 @@ fn depth_warnings(clip: &Clip, maps: &[RobotMap]) -> Vec<String> {
         let of_camera = maps.iter().filter(|map| map.camera == index);
         let mut ratios: Vec<f64> = of_camera
             .flat_map(|map| {
-                let depth_m = &reference.depth_m[map.frame.at() * pixels..][..pixels];
+                let depth_m = reference.depth_m.get(map.frame.at() * pixels..).unwrap_or_default();
                 let supported = map.support.iter().zip(&map.depth_m).zip(depth_m);
                 supported
                     .filter(|((support, mesh), depth)| **support == 1 && **mesh > 0.0 && depth.is_finite())

@@ -223,9 +223,9 @@ impl References<'_> {
             if !root.is_dir() {
                 let error = text.error(
                     asked.at().then("pointworld"),
-                    format!("`{}` is not a folder", root.display()),
+                    format!("`{}` is not a folder", shown(root)),
                 );
-                return Err(error.with_hint("paths in a manifest are relative to the manifest's folder"));
+                return Err(error.with_hint(path_hint(root)));
             }
             self.known.insert(root.to_owned(), self.programs.list_references(root)?);
         }

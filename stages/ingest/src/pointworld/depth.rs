@@ -86,6 +86,7 @@ pub(super) fn join(path: &Path, source: &mut Source, tolerance_ms: f64) -> Stage
             .map_or(RANGE_M, |depth| depth.range_m);
         source.cameras[index].depth = Some(SourceDepth {
             path: path.to_owned(),
+            unit_m: None,
             range_m,
             // The release's depth is FoundationStereo's; caches made of something else say so.
             origin: stated.unwrap_or(ReferenceOrigin::FoundationStereo),
