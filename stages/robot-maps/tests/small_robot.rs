@@ -6,9 +6,8 @@ use std::path::Path;
 
 use rogs_robot_maps::{Params, Robot, build};
 use rogs_schemas::key::{KeyMaterial, Provenance};
-use rogs_schemas::records::clip::{
-    CameraMount, CameraRole, Clip, ClipCamera, DepthReference, ReferenceOrigin, RobotStates,
-};
+use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates};
+use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::records::robot::{NO_LINK, RobotMaps, RobotSpec};
 use rogs_schemas::{EpisodeFrame, FrameIndex, Intrinsics, RigidPose};
 use rogs_worker::{Observer, Unobserved};
