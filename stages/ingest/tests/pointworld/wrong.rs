@@ -89,10 +89,10 @@ fn depth_file(maps: usize, change: impl FnOnce(&mut Hdf5Group)) -> Vec<u8> {
         .text("uuid", "synth-00000011")
         .truth("write_complete", true);
     let group = root.group("ext1+ext");
-    let values: Vec<u8> = std::iter::repeat_n(1500_u16.to_le_bytes(), maps * 84 * 140)
+    let values: Vec<u8> = std::iter::repeat_n(1500_u16.to_le_bytes(), maps * 42 * 70)
         .flatten()
         .collect();
-    group.dataset("depth", &[maps, 84, 140], Hdf5Kind::U16, values, Some(true));
+    group.dataset("depth", &[maps, 42, 70], Hdf5Kind::U16, values, Some(true));
     let times: Vec<u8> = (0..maps)
         .flat_map(|frame| ((frame * 1000 / 15) as i64).to_le_bytes())
         .collect();
@@ -113,13 +113,13 @@ fn depth() {
         )
     };
     let u16s = |value: u16| -> Vec<u8> {
-        std::iter::repeat_n(value.to_le_bytes(), 33 * 84 * 140)
+        std::iter::repeat_n(value.to_le_bytes(), 33 * 42 * 70)
             .flatten()
             .collect()
     };
     let flag = with(&|root| {
         root.group("ext1+ext")
-            .dataset("depth", &[33, 84, 140], Hdf5Kind::U16, u16s(900), None)
+            .dataset("depth", &[33, 42, 70], Hdf5Kind::U16, u16s(900), None)
     });
     has(
         &flag,
@@ -130,32 +130,32 @@ fn depth() {
     );
     let unfinished = with(&|root| {
         root.group("ext1+ext")
-            .dataset("depth", &[33, 84, 140], Hdf5Kind::U16, u16s(900), Some(false));
+            .dataset("depth", &[33, 42, 70], Hdf5Kind::U16, u16s(900), Some(false));
     });
     has(&unfinished, &["`write_complete` is false"]);
     let metres = with(&|root| {
         root.group("ext1+ext")
-            .dataset("depth", &[33, 84, 140], Hdf5Kind::U16, u16s(2), Some(true));
+            .dataset("depth", &[33, 42, 70], Hdf5Kind::U16, u16s(2), Some(true));
     });
     has(&metres, &["reaches 2 mm at most", "were these metres?"]);
     let floats = with(&|root| {
-        let values: Vec<u8> = std::iter::repeat_n(1.5_f32.to_le_bytes(), 33 * 84 * 140)
+        let values: Vec<u8> = std::iter::repeat_n(1.5_f32.to_le_bytes(), 33 * 42 * 70)
             .flatten()
             .collect();
         root.group("ext1+ext")
-            .dataset("depth", &[33, 84, 140], Hdf5Kind::F32, values, Some(true));
+            .dataset("depth", &[33, 42, 70], Hdf5Kind::F32, values, Some(true));
     });
     has(&floats, &["holds fractions: expected whole millimetres (uint16)"]);
     let aspect = with(&|root| {
         root.group("ext1+ext").dataset(
             "depth",
-            &[33, 84, 112],
+            &[33, 42, 56],
             Hdf5Kind::U16,
-            u16s(900)[..33 * 84 * 112 * 2].to_vec(),
+            u16s(900)[..33 * 42 * 56 * 2].to_vec(),
             Some(true),
         );
     });
-    has(&aspect, &["maps of 112x84, the images of camera `ext1` are 140x84"]);
+    has(&aspect, &["maps of 56x42, the images of camera `ext1` are 70x42"]);
     let clock = with(&|root| {
         let times: Vec<u8> = (0..33_i64)
             .flat_map(|frame| (1_690_000_000_000 + 66 * frame).to_le_bytes())
@@ -213,9 +213,9 @@ fn flows_file(cached: &Cached, name: &str, change: impl FnOnce(&mut Hdf5Group)) 
         );
         camera.dataset(
             "initial_depth",
-            &[84, 140],
+            &[42, 70],
             Hdf5Kind::U16,
-            vec![1; 2 * 84 * 140],
+            vec![1; 2 * 42 * 70],
             Some(true),
         );
         let k = cached.episode.cameras[1].lens.intrinsics;
@@ -396,7 +396,10 @@ fn shards() {
 #[test]
 fn two_files_of_one_kind_are_refused() {
     let cached = Cached::new();
-    changed(&cached.files().depth.unwrap(), |_| {});
+    let own = cached.files().depth.unwrap();
+    let other = cached.path("cache/copies").join(own.file_name().unwrap());
+    std::fs::create_dir(cached.path("cache/copies")).unwrap();
+    std::fs::copy(own, other).unwrap();
     let error = rogs_ingest::list_references(&cached.path("cache"))
         .unwrap_err()
         .to_string();
