@@ -84,3 +84,69 @@ fn a_run_takes_the_caches_of_its_episodes_and_scores_by_them() {
         (&0.into(), &0.into())
     );
 }
+
+#[test]
+fn a_cohort_of_a_folder_is_drawn_once_and_run() {
+    let config = SynthConfig {
+        resolution: Resolution {
+            wrist: [28, 42],
+            external: [28, 42],
+        },
+        ..SynthConfig::default()
+    };
+    let folder = tempfile::tempdir().unwrap();
+    write_dataset(folder.path(), 2, 11, &config).unwrap();
+    let rogs = |arguments: &[&str]| {
+        let program = env!("CARGO_BIN_EXE_rogs");
+        let output = Command::new(program)
+            .args(arguments)
+            .current_dir(folder.path())
+            .output()
+            .unwrap();
+        let said = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        (output.status.code(), said(&output.stdout) + &said(&output.stderr))
+    };
+    let draw = ["cohort", "--root", EPISODES_FOLDER, "--lab", "all", "--take", "1"];
+    let (code, said) = rogs(&draw);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains("2 eligible, 1 selected"), "{said}");
+    assert!(
+        said.contains("not checked: train_or_val, not_in_test_manifest"),
+        "{said}"
+    );
+    // The same again is the same file; another seed is another cohort and does not replace it unasked.
+    let first = std::fs::read(folder.path().join("selection.json")).unwrap();
+    assert_eq!(rogs(&draw).0, Some(0));
+    let (code, said) = rogs(&[&draw[..], &["--seed", "7"]].concat());
+    assert_eq!(code, Some(2), "{said}");
+    assert!(said.contains("holds another selection: seed: 42, now 7"), "{said}");
+    assert_eq!(std::fs::read(folder.path().join("selection.json")).unwrap(), first);
+    assert_eq!(rogs(&[&draw[..], &["--seed", "7", "--force"]].concat()).0, Some(0));
+    // Laboratories are the start of ids; these episodes are of none of the paper's.
+    let (code, said) = rogs(&draw[..3]);
+    assert_eq!(code, Some(2), "{said}");
+    assert!(said.contains("holds no episode of ILIAD, PennPAL"), "{said}");
+
+    let manifest = format!(
+        "[run]\nname = \"cohort\"\nout = \"run\"\nstages = [\"ingest\"]\n[input]\nroot = \"{EPISODES_FOLDER}\"\n\
+         selection = \"selection.json\"\n[robot]\nurdf = \"{ROBOT_FOLDER}/{ROBOT_URDF_FILE}\"\n\
+         [ingest]\nheight = 28\nwidth = 42\n"
+    );
+    std::fs::write(folder.path().join("manifest.toml"), manifest).unwrap();
+    let (code, said) = rogs(&["plan", "manifest.toml"]);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains("cohort: 1 clips, 1 units"), "{said}");
+    assert!(
+        said.contains("selection.json: 1 of 2 eligible episodes, seed 7"),
+        "{said}"
+    );
+    assert_eq!(rogs(&["run", "manifest.toml", "--no-report"]).0, Some(0));
+    // Outputs of one cohort do not become those of another.
+    assert_eq!(rogs(&[&draw[..], &["--force"]].concat()).0, Some(0));
+    let (code, said) = rogs(&["run", "manifest.toml", "--no-report"]);
+    assert_eq!(code, Some(2), "{said}");
+    assert!(
+        said.contains("begun with another selection: selection.json: 1 of 2 eligible episodes, seed 7"),
+        "{said}"
+    );
+}
