@@ -159,7 +159,8 @@ impl RunResults {
         let input = TableInput {
             sheets: &self.sheets,
             timings: &self.timings,
-            cohort,
+            // The selection that the run was planned with, unless another is given.
+            cohort: cohort.or(self.plan.selection.as_ref().map(|own| &own.counts)),
             signals: &signals,
         };
         table(id, &input, options).map_err(|error| Error::usage(error.to_string()))

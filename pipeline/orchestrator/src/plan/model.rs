@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use rogs_schemas::ContentHash;
+use rogs_schemas::selection::CohortCounts;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
@@ -62,10 +63,8 @@ pub struct PlanSelection {
     pub source: PlannedSource,
     /// Seed of the draw.
     pub seed: u64,
-    /// Episodes that it was drawn from.
-    pub eligible: usize,
-    /// Episodes that were drawn.
-    pub selected: usize,
+    /// Episodes left after every step of the draw.
+    pub counts: CohortCounts,
 }
 
 /// One stage as it is done for every clip: a column of the plan.

@@ -49,8 +49,7 @@ pub(super) fn read_selection(path: &Path, text: &Text, sources: &SourceCache) ->
             content: sources.source("selection", path)?,
         },
         seed: selection.seed,
-        eligible: selection.counts.eligible,
-        selected: selection.counts.selected,
+        counts: selection.counts,
     };
     Ok((selection, note))
 }
@@ -62,7 +61,7 @@ impl PlanSelection {
         let name = self.source.path.file_name().unwrap_or_default().to_string_lossy();
         format!(
             "{name}: {} of {} eligible episodes, seed {}",
-            self.selected, self.eligible, self.seed
+            self.counts.selected, self.counts.eligible, self.seed
         )
     }
 }
