@@ -2,6 +2,8 @@
 
 use rayon::prelude::*;
 
+/// Pixels on either side of the window that disparities are averaged over.
+const SMOOTH_RADIUS: usize = 2;
 /// Pixels on either side of the window that evidence is averaged over.
 const EVIDENCE_RADIUS: usize = 2;
 /// Largest difference of neighbouring disparities within one patch, pixels.
@@ -17,12 +19,17 @@ pub(crate) fn consistent(left: &[f32], right: &[f32], width: usize, tolerance: f
     left.par_iter().enumerate().map(check).collect()
 }
 
-/// The right disparities whose partner in the left eye was kept with the same within `tolerance`; NaN where not. `[H, W]`
+/// The right disparities whose partner in the left eye was kept with the same within `tolerance`, which they take over with
+/// its fraction; NaN where not. `[H, W]`
 pub(crate) fn confirmed(right: &[f32], kept_left: &[f32], width: usize, tolerance: f32) -> Vec<f32> {
     let check = |(at, &disparity): (usize, &f32)| {
-        let agrees = |partner: usize| (kept_left[partner] - disparity).abs() <= tolerance;
-        let agrees = partner(at, disparity, width).is_some_and(agrees);
-        if agrees { disparity } else { f32::NAN }
+        let partner = partner(at, disparity, width).map_or(f32::NAN, |partner| kept_left[partner]);
+        // Half a pixel of fraction may lie on top.
+        if (partner - disparity).abs() <= tolerance + 0.5 {
+            partner
+        } else {
+            f32::NAN
+        }
     };
     right.par_iter().enumerate().map(check).collect()
 }
@@ -92,27 +99,26 @@ pub(crate) fn remove_specks(disparity: &mut [f32], width: usize, smallest: usize
     }
 }
 
-/// The median of the known disparities of the 3x3 window of every known one. `[H, W]`
-pub(crate) fn median(disparity: &[f32], width: usize) -> Vec<f32> {
+/// The mean of the known disparities of the 5x5 window that lie within a pixel of the known one in its middle. `[H, W]`
+pub(crate) fn smoothed(disparity: &[f32], width: usize) -> Vec<f32> {
     let height = disparity.len() / width;
     let one = |at: usize| {
-        if disparity[at].is_nan() {
-            return f32::NAN;
+        let middle = disparity[at];
+        if middle.is_nan() {
+            return middle;
         }
         let (row, column) = (at / width, at % width);
-        let (mut known, mut count) = ([0.0f32; 9], 0);
-        for row in row.saturating_sub(1)..(row + 2).min(height) {
-            for column in column.saturating_sub(1)..(column + 2).min(width) {
-                let value = disparity[row * width + column];
-                if !value.is_nan() {
-                    known[count] = value;
-                    count += 1;
+        let (mut sum, mut count) = (0.0f32, 0.0f32);
+        for row in row.saturating_sub(SMOOTH_RADIUS)..(row + SMOOTH_RADIUS + 1).min(height) {
+            let columns = column.saturating_sub(SMOOTH_RADIUS)..(column + SMOOTH_RADIUS + 1).min(width);
+            for &value in &disparity[row * width..][columns] {
+                if (value - middle).abs() <= PATCH_STEP_PX {
+                    sum += value - middle;
+                    count += 1.0;
                 }
             }
         }
-        let known = &mut known[..count];
-        known.sort_unstable_by(f32::total_cmp);
-        known[(count - 1) / 2]
+        middle + sum / count
     };
     (0..disparity.len()).into_par_iter().map(one).collect()
 }
@@ -163,12 +169,14 @@ mod tests {
     }
 
     #[test]
-    fn the_median_does_not_fill_holes() {
-        let mut disparity = vec![2.0; 9];
-        disparity[4] = 8.0;
+    fn smoothing_neither_fills_holes_nor_crosses_edges() {
+        let mut disparity = vec![2.0; 25];
+        disparity[12] = 2.5;
+        disparity[13] = 8.0;
         disparity[0] = f32::NAN;
-        let smooth = median(&disparity, 3);
+        let smooth = smoothed(&disparity, 5);
         assert!(smooth[0].is_nan());
-        assert_eq!(smooth[4], 2.0);
+        assert_eq!(smooth[13], 8.0);
+        assert!((smooth[12] - (2.0 + 0.5 / 23.0)).abs() < 1e-6, "{}", smooth[12]);
     }
 }

@@ -73,14 +73,11 @@ fn differences(left: &[u64], right: &[u64], width: usize, range: Range) -> Vec<u
                 for (column, (&left, out)) in left.iter().zip(out.chunks_exact_mut(stride)).enumerate() {
                     let out = &mut out[..range.count];
                     out.fill(OUTSIDE);
+                    let places = range.candidates(column, width);
                     // Disparity `first + i` is the right column `column - first - i`.
-                    let place = column as i64 - i64::from(range.first);
-                    let begin = (place - (width as i64 - 1)).clamp(0, range.count as i64);
-                    let end = (place + 1).clamp(begin, range.count as i64);
-                    let at = (width as i64 - 1 - place + begin).max(0) as usize;
-                    let (begin, end) = (begin as usize, end as usize);
-                    let right = &backwards[at.min(width)..][..end - begin];
-                    for (out, &right) in out[begin..end].iter_mut().zip(right) {
+                    let at = width as i64 - 1 - column as i64 + i64::from(range.first) + places.start as i64;
+                    let right = &backwards[at.clamp(0, width as i64) as usize..][..places.len()];
+                    for (out, &right) in out[places].iter_mut().zip(right) {
                         *out = (left ^ right).count_ones() as u8;
                     }
                 }

@@ -2,7 +2,7 @@
 //!
 //! Census cost, costs aggregated along eight paths, the least sum with its fraction, then only what both eyes agree on, what
 //! has texture, and what is no speck. Costs are integers, so that any number of threads gives the same bytes. What is not
-//! known is NaN, never a guess.
+//! known is NaN, never a guess. [`diagnose`] reads off the images whether the eyes are swapped or the pair is not rectified.
 //!
 //! ```
 //! use rogs_stereo::{Grey, MatcherParams, Rig, match_pair};
@@ -24,13 +24,16 @@
 mod aggregate;
 mod clean;
 mod cost;
+mod diagnose;
 mod error;
+mod fraction;
 mod image;
 mod matcher;
 mod params;
 mod rig;
 mod winner;
 
+pub use diagnose::{Concern, diagnose};
 pub use error::{Error, Result};
 pub use image::Grey;
 pub use matcher::{StereoMatch, match_pair};

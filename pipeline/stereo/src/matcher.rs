@@ -1,9 +1,10 @@
 //! From a pair to the disparities of both eyes.
 
 use crate::aggregate::aggregate;
-use crate::clean::{confirmed, consistent, median, remove_specks, remove_unsupported};
+use crate::clean::{confirmed, consistent, remove_specks, remove_unsupported, smoothed};
 use crate::cost::volume;
 use crate::error::{Error, Result};
+use crate::fraction::refined;
 use crate::image::Grey;
 use crate::params::{MatcherParams, Range};
 use crate::rig::Rig;
@@ -41,21 +42,23 @@ pub fn match_pair(left: &Grey, right: &Grey, rig: &Rig, params: &MatcherParams) 
     }
     let width = left.width();
     let range = Range::new(rig, params, width);
+    let costs = volume(left, right, range);
     let found = {
-        let costs = volume(left, right, range);
         let sums = aggregate(left, &costs, range, params);
         winners(&sums, &costs, width, range, params)
     };
     let tolerance = params.left_right_px;
     let mut left_px = consistent(&found.left, &found.right, width, tolerance);
     remove_unsupported(&mut left_px, &found.evidence, width, params.evidence_bits);
+    let mut left_px = refined(&left_px, &costs, width, range);
+    drop(costs);
     let mut right_px = confirmed(&found.right, &left_px, width, tolerance);
     let farthest = rig.disparity_px(params.far_m) as f32;
     for disparity in [&mut left_px, &mut right_px] {
         let beyond = disparity.iter_mut().filter(|value| **value < farthest);
         beyond.for_each(|value| *value = f32::NAN);
         remove_specks(disparity, width, params.speckle_px as usize);
-        *disparity = median(disparity, width);
+        *disparity = smoothed(disparity, width);
     }
     Ok(StereoMatch { left_px, right_px })
 }

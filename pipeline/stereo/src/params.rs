@@ -44,7 +44,7 @@ impl Default for MatcherParams {
             large_step: 200,
             uniqueness_percent: 8,
             left_right_px: 1.0,
-            evidence_bits: 3.0,
+            evidence_bits: 2.0,
             speckle_px: 120,
         }
     }
@@ -116,11 +116,65 @@ impl Range {
         }
     }
 
+    /// The disparity of a place, pixels.
+    pub(crate) fn disparity(self, place: usize) -> f32 {
+        (self.first + place as i32) as f32
+    }
+
+    /// The places of a left column whose right column `column - first - i` exists.
+    #[inline(always)]
+    pub(crate) fn candidates(self, column: usize, width: usize) -> std::ops::Range<usize> {
+        let place = column as i64 - i64::from(self.first);
+        places(place - (width as i64 - 1), place + 1, self.count)
+    }
+
     /// The number of places in a volume: rounded up, so that vectors are full.
     pub(crate) fn stride(self) -> usize {
         self.count.next_multiple_of(LANES)
     }
 }
 
+/// The part of `begin..end` that lies in `0..count`.
+#[inline(always)]
+pub(crate) fn places(begin: i64, end: i64, count: usize) -> std::ops::Range<usize> {
+    let begin = begin.clamp(0, count as i64);
+    begin as usize..end.clamp(begin, count as i64) as usize
+}
+
 /// Values of 16 bits in the widest vector.
 const LANES: usize = 32;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn candidates_are_those_with_a_partner() {
+        let range = Range { first: -1, count: 16 };
+        // Left column 3 of 8 with disparities from -1: right columns 4, 3, 2, 1, 0 exist.
+        assert_eq!(range.candidates(3, 8), 0..5);
+        // Left column 7: right column 8 does not exist.
+        assert_eq!(range.candidates(7, 8), 1..9);
+        assert_eq!(Range { first: 40, count: 16 }.candidates(3, 8), 0..0);
+    }
+
+    #[test]
+    fn the_range_spans_the_depths() {
+        let rig = Rig {
+            focal_px: 100.0,
+            baseline_m: 0.1,
+            shift_px: 2.5,
+        };
+        let range = Range::new(&rig, &MatcherParams::default(), 280);
+        assert_eq!(
+            (range.first, range.count, range.stride()),
+            (2, 103, 128),
+            "3 to 102.5 pixels"
+        );
+        let few = MatcherParams {
+            max_disparities: 32,
+            ..MatcherParams::default()
+        };
+        assert_eq!(Range::new(&rig, &few, 280).count, 32);
+    }
+}

@@ -106,3 +106,93 @@ impl Rig {
         Pose::from_translation(DVec3::X * self.baseline_m)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::DMat3;
+    use rogs_schemas::Intrinsics;
+
+    use super::*;
+
+    const LENS: Pinhole = Pinhole {
+        intrinsics: Intrinsics {
+            fx: 115.0,
+            fy: 113.0,
+            cx: 141.0,
+            cy: 76.0,
+        },
+        width: 280,
+        height: 154,
+    };
+
+    fn eyes(offset: [f64; 3]) -> Result<Rig> {
+        Rig::new(&LENS, &LENS, &Pose::from_translation(DVec3::from_array(offset)))
+    }
+
+    #[test]
+    fn a_point_lies_at_the_depth_of_its_disparity() {
+        let right = Pinhole {
+            intrinsics: Intrinsics {
+                cx: 138.5,
+                ..LENS.intrinsics
+            },
+            ..LENS
+        };
+        let left_from_right = Pose::from_translation(DVec3::X * 0.12);
+        let rig = Rig::new(&LENS, &right, &left_from_right).unwrap();
+        let point = DVec3::new(0.2, -0.1, 1.7);
+        let (seen_left, _) = LENS.project(point).unwrap();
+        let (seen_right, _) = right.project(left_from_right.inverse().point(point)).unwrap();
+        let disparity = seen_left.x - seen_right.x;
+        assert!((rig.disparity_px(1.7) - disparity).abs() < 1e-12);
+        assert!((rig.depth_m(disparity as f32) - 1.7).abs() < 1e-5);
+        assert!(rig.depth_m(2.5).is_nan(), "infinity");
+        assert_eq!(rig.left_from_right(), left_from_right);
+    }
+
+    #[test]
+    fn a_baseline_in_millimetres_is_named() {
+        let error = eyes([120.0, 0.0, 0.0]).unwrap_err().to_string();
+        assert!(
+            error.contains("120 m apart") && error.contains("millimetres"),
+            "{error}"
+        );
+        for metres in [0.0, 0.001, 5e4, f64::NAN] {
+            let error = eyes([metres, 0.0, 0.0]).unwrap_err().to_string();
+            assert!(error.contains("no stereo camera"), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_right_eye_on_the_left_is_named() {
+        let error = eyes([-0.12, 0.0, 0.0]).unwrap_err();
+        assert_eq!(error, Error::Swapped { metres: 0.12 });
+        assert!(error.to_string().starts_with("left and right eyes look swapped"));
+    }
+
+    #[test]
+    fn calibration_that_is_not_rectified_is_named() {
+        let rows = |pose: Pose<Camera, Camera>| Rig::new(&LENS, &LENS, &pose).unwrap_err();
+        let turned = Pose::new(DMat3::from_rotation_x(0.02), DVec3::X * 0.12);
+        assert!(matches!(rows(turned), Error::NotRectified { rows_px, .. } if rows_px > 2.0));
+        let lower = Pose::from_translation(DVec3::new(0.12, 0.01, 0.0));
+        assert!(matches!(rows(lower), Error::NotRectified { .. }));
+        let inwards = Pose::new(DMat3::from_rotation_y(0.02), DVec3::X * 0.12);
+        assert!(matches!(rows(inwards), Error::NotRectified { columns_px, .. } if columns_px > 2.0));
+        let other_lens = Pinhole {
+            intrinsics: Intrinsics {
+                fx: 117.0,
+                ..LENS.intrinsics
+            },
+            ..LENS
+        };
+        let error = Rig::new(&LENS, &other_lens, &Pose::from_translation(DVec3::X * 0.12)).unwrap_err();
+        assert!(matches!(error, Error::NotRectified { .. }), "{error}");
+        // A hundredth of a degree is nothing.
+        let slightly = Pose::new(DMat3::from_rotation_x(1.7e-4), DVec3::X * 0.12);
+        assert!(Rig::new(&LENS, &LENS, &slightly).is_ok());
+        let smaller = Pinhole { width: 270, ..LENS };
+        let error = Rig::new(&LENS, &smaller, &Pose::from_translation(DVec3::X * 0.12)).unwrap_err();
+        assert!(matches!(error, Error::Sizes { .. }));
+    }
+}

@@ -22,7 +22,7 @@
 //! | `shared` | the folder of reference data: `ROGS_SHARED`, else `shared` beside the checkout |
 //! | `ffmpeg` | `ffmpeg` and `ffprobe` on the `PATH` |
 //! | `libx264` | an `ffmpeg` that encodes H.264 |
-//! | `numpy`, `pillow`, `zstandard` | the package of `ROGS_PEER_PYTHON` (else `python3`) |
+//! | `numpy`, `pillow`, `opencv`, `zstandard` | the package of `ROGS_PEER_PYTHON` (else `python3`) |
 //! | `bash` | the shell |
 //! | `mount` | the right to mount a file system |
 //! | `slurm` | root, and the programs of Slurm and munge |

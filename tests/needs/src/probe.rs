@@ -24,6 +24,7 @@ pub(crate) fn missing(need: &str, why: &str) -> Result<Option<String>, String> {
         "libx264" => unless(encodes_h264(), "needs an ffmpeg with libx264"),
         "numpy" => unless(imports("numpy"), "needs Python with numpy (ROGS_PEER_PYTHON)"),
         "pillow" => unless(imports("PIL"), "needs Python with Pillow (ROGS_PEER_PYTHON)"),
+        "opencv" => unless(imports("cv2"), "needs Python with OpenCV (ROGS_PEER_PYTHON)"),
         "zstandard" => unless(imports("zstandard"), "needs Python with zstandard (ROGS_PEER_PYTHON)"),
         "bash" => unless(on_path("bash"), "needs bash"),
         // A mount namespace takes the same right as a mount, and leaves nothing behind.

@@ -1,0 +1,30 @@
+"""Disparities of rectified pairs by OpenCV's SGBM. Called by the test `side_by_side` with groups of
+LEFT.png RIGHT.png DISPARITIES OUT; OUT becomes float32 pixels of the left eye, row-major, NaN where unknown.
+
+Settings are OpenCV's usual ones for its 5x5 blocks (P1 = 8 * 25, P2 = 32 * 25), all eight paths, its own left-right check,
+uniqueness of 10 % and specks of 100 pixels."""
+import sys
+
+import cv2
+import numpy as np
+
+BLOCK = 5
+arguments = sys.argv[1:]
+for left, right, disparities, out in zip(*[iter(arguments)] * 4):
+    left, right = (cv2.imread(path, cv2.IMREAD_GRAYSCALE) for path in (left, right))
+    matcher = cv2.StereoSGBM_create(
+        minDisparity=0,
+        numDisparities=(int(disparities) + 15) // 16 * 16,
+        blockSize=BLOCK,
+        P1=8 * BLOCK * BLOCK,
+        P2=32 * BLOCK * BLOCK,
+        disp12MaxDiff=1,
+        preFilterCap=63,
+        uniquenessRatio=10,
+        speckleWindowSize=100,
+        speckleRange=2,
+        mode=cv2.STEREO_SGBM_MODE_HH,
+    )
+    found = matcher.compute(left, right).astype(np.float32) / 16
+    found[found <= 0] = np.nan
+    found.tofile(out)
