@@ -349,6 +349,17 @@ _refinement = _row(
     steps=_many(_u32),
     resume_state=_arrays,
 )
+_references_made = _row(
+    clip_id=_text,
+    frame_count=_u32,
+    height=_u32,
+    width=_u32,
+    frames=_many(_u32),
+    depth=_many(_row(camera=_u32, range_m=_fixed(_f32, 2), origin=_text)),
+    tracks=_maybe(_row(anchor_frame=_u32, count=_u32)),
+    tracks_origin=_maybe(_text),
+    notes=_many(_text),
+)
 _image = _row(
     camera=_text,
     source_view=_flag,
@@ -383,6 +394,7 @@ HEADS = {
     "rogs.clip": {"clip": _whole(_clip), "reference_origins": _whole(_origins), "rollout": _whole(_rollout)},
     "rogs.robot": {"robot": _whole(_robot)},
     "rogs.conditioning": {"conditioning": _whole(_conditioning)},
+    "rogs.references": {"references": _whole(_references_made)},
     "rogs.field": {"field": _whole(_field)},
     "rogs.refinement": {"refinement": _whole(_refinement)},
     "rogs.scores": {

@@ -42,6 +42,7 @@ fn every_record_survives() {
     survives("rollout", &common::rollout_clip());
     survives("robot", &common::robot());
     survives("conditioning", &common::conditioning());
+    survives("references", &common::references());
     survives("field", &common::field());
     survives("refinement", &common::refinement());
     survives("scores", &common::scores());

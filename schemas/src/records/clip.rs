@@ -354,7 +354,7 @@ impl Clip {
         }
         match &self.tracks {
             None => Ok(()),
-            Some(tracks) => self.check_tracks(tracks, frames),
+            Some(tracks) => tracks.check(self.cameras.len(), frames),
         }
     }
 
@@ -398,26 +398,28 @@ impl Clip {
         }
         Ok(())
     }
+}
 
-    fn check_tracks(&self, tracks: &Tracks, frames: usize) -> Check {
-        let points = tracks.camera.len();
-        ensure(tracks.anchor_frame.at() < frames, || {
-            format!("track anchor {} of {frames}", tracks.anchor_frame)
+impl Tracks {
+    /// The arrays agree with the counts, and every track lies in one of so many cameras.
+    pub(crate) fn check(&self, cameras: usize, frames: usize) -> Check {
+        let points = self.camera.len();
+        ensure(self.anchor_frame.at() < frames, || {
+            format!("track anchor {} of {frames}", self.anchor_frame)
         })?;
-        count("track pixels", tracks.pixel.len(), product("tracks", &[points, 2])?)?;
+        count("track pixels", self.pixel.len(), product("tracks", &[points, 2])?)?;
         count(
             "track positions",
-            tracks.position_m.len(),
+            self.position_m.len(),
             product("tracks", &[points, frames, 3])?,
         )?;
         count(
             "track visibility",
-            tracks.visible.len(),
+            self.visible.len(),
             product("tracks", &[points, frames])?,
         )?;
-        binary("track visibility", &tracks.visible)?;
-        let cameras = self.cameras.len();
-        ensure(tracks.camera.iter().all(|camera| camera.at() < cameras), || {
+        binary("track visibility", &self.visible)?;
+        ensure(self.camera.iter().all(|camera| camera.at() < cameras), || {
             format!("a track lies in a camera that is not among the {cameras}")
         })
     }

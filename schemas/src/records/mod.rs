@@ -5,6 +5,7 @@ pub mod clip;
 pub mod conditioning;
 pub mod field;
 pub mod origin;
+pub mod references;
 pub mod refinement;
 pub mod robot;
 pub mod scores;

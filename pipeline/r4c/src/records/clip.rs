@@ -31,7 +31,7 @@ const GENERATED: StreamSpec = StreamSpec {
 /// Head of what a rollout has more; in rollouts only.
 const ROLLOUT_HEAD: &str = "rollout";
 /// Reference depth, one chunk per (camera, frame).
-const DEPTH: StreamSpec = StreamSpec {
+pub(super) const DEPTH: StreamSpec = StreamSpec {
     name: "depth_m",
     dtype: Dtype::F32,
     unit: Unit::Metre,
@@ -115,9 +115,18 @@ struct Origins {
 const ORIGINS: &str = "reference_origins";
 
 #[derive(Serialize, Deserialize)]
-struct TracksHead {
+pub(super) struct TracksHead {
     anchor_frame: FrameIndex,
     count: u32,
+}
+
+impl TracksHead {
+    pub(super) fn of(tracks: &Tracks) -> Self {
+        Self {
+            anchor_frame: tracks.anchor_frame,
+            count: tracks.camera.len() as u32,
+        }
+    }
 }
 
 impl Record for Clip {
@@ -138,10 +147,6 @@ impl Record for Clip {
             has_rgb: camera.recorded.is_some(),
             depth_range_m: camera.depth.as_ref().map(|depth| depth.range_m),
         };
-        let tracks = |tracks: &Tracks| TracksHead {
-            anchor_frame: tracks.anchor_frame,
-            count: tracks.camera.len() as u32,
-        };
         let head = Head {
             clip_id: self.clip_id.clone(),
             episode_id: self.episode_id.clone(),
@@ -157,7 +162,7 @@ impl Record for Clip {
             width: self.width,
             cameras: self.cameras.iter().map(camera).collect(),
             robot: self.robot.clone(),
-            tracks: self.tracks.as_ref().map(tracks),
+            tracks: self.tracks.as_ref().map(TracksHead::of),
         };
         writer.value("clip", &head)?;
         let depths = self.cameras.iter().filter_map(|camera| camera.depth.as_ref());
@@ -188,11 +193,7 @@ impl Record for Clip {
         writer.stream(&DEPTH, &[self.height, self.width], &depths)?;
         let Some(tracks) = &self.tracks else { return Ok(()) };
         let frames = self.frame_count() as u32;
-        let cameras: Vec<u32> = tracks.camera.iter().map(|camera| camera.0).collect();
-        writer.stream(&TRACK_CAMERA, &[], &[([0; 4], cameras.as_slice())])?;
-        writer.stream(&TRACK_PIXEL, &[2], &[([0; 4], tracks.pixel.as_slice())])?;
-        writer.stream(&TRACK_POSITION, &[frames, 3], &[([0; 4], tracks.position_m.as_slice())])?;
-        writer.stream(&TRACK_VISIBLE, &[frames], &[([0; 4], tracks.visible.as_slice())])
+        write_tracks(writer, tracks, frames)
     }
 
     fn decode(reader: &Reader) -> Result<Self> {
@@ -261,17 +262,8 @@ impl Record for Clip {
         let tracks = match head.tracks {
             None => None,
             Some(tracks) => {
-                let cameras = reader.stream::<u32>(&TRACK_CAMERA, &[])?;
-                let read = Tracks {
-                    anchor_frame: tracks.anchor_frame,
-                    camera: cameras.into_iter().map(CameraIndex).collect(),
-                    pixel: reader.stream(&TRACK_PIXEL, &[2])?,
-                    position_m: reader.stream(&TRACK_POSITION, &[frames as u32, 3])?,
-                    visible: reader.stream(&TRACK_VISIBLE, &[frames as u32])?,
-                    origin: origin(origins.tracks.take()).map_err(wrong)?,
-                };
-                count("tracks", read.camera.len(), tracks.count as usize).map_err(wrong)?;
-                Some(read)
+                let origin = origin(origins.tracks.take()).map_err(wrong)?;
+                Some(read_tracks(reader, &tracks, frames as u32, origin)?)
             }
         };
         let clip = Self {
@@ -298,7 +290,7 @@ impl Record for Clip {
 }
 
 /// The origin of this name; not stated where there is none.
-fn origin(name: Option<String>) -> std::result::Result<ReferenceOrigin, String> {
+pub(super) fn origin(name: Option<String>) -> std::result::Result<ReferenceOrigin, String> {
     name.map_or(Ok(ReferenceOrigin::NotStated), |name| name.parse())
 }
 
@@ -310,6 +302,33 @@ fn read_rollout(reader: &Reader, head: &Head) -> Result<(Option<Rollout>, Vec<u8
     let rollout = reader.value(ROLLOUT_HEAD)?;
     let generated = reader.stream::<u8>(&GENERATED, &[head.height, head.width, 3])?;
     Ok((Some(rollout), generated))
+}
+
+/// The streams of tracks over so many frames.
+pub(super) fn write_tracks(writer: &mut Writer, tracks: &Tracks, frames: u32) -> Result<()> {
+    let cameras: Vec<u32> = tracks.camera.iter().map(|camera| camera.0).collect();
+    writer.stream(&TRACK_CAMERA, &[], &[([0; 4], cameras.as_slice())])?;
+    writer.stream(&TRACK_PIXEL, &[2], &[([0; 4], tracks.pixel.as_slice())])?;
+    writer.stream(&TRACK_POSITION, &[frames, 3], &[([0; 4], tracks.position_m.as_slice())])?;
+    writer.stream(&TRACK_VISIBLE, &[frames], &[([0; 4], tracks.visible.as_slice())])
+}
+
+/// The tracks that a head announces.
+pub(super) fn read_tracks(reader: &Reader, head: &TracksHead, frames: u32, origin: ReferenceOrigin) -> Result<Tracks> {
+    let read = Tracks {
+        anchor_frame: head.anchor_frame,
+        camera: reader
+            .stream::<u32>(&TRACK_CAMERA, &[])?
+            .into_iter()
+            .map(CameraIndex)
+            .collect(),
+        pixel: reader.stream(&TRACK_PIXEL, &[2])?,
+        position_m: reader.stream(&TRACK_POSITION, &[frames, 3])?,
+        visible: reader.stream(&TRACK_VISIBLE, &[frames])?,
+        origin,
+    };
+    count("tracks", read.camera.len(), head.count as usize).map_err(|what| reader.inconsistent(what))?;
+    Ok(read)
 }
 
 fn take_back<T>(values: &mut Vec<T>, length: usize, what: &str) -> std::result::Result<Vec<T>, String> {

@@ -4,6 +4,7 @@ mod arrays;
 mod clip;
 mod conditioning;
 mod field;
+mod references;
 mod refinement;
 mod robot;
 mod scores;

@@ -11,6 +11,7 @@ use rogs_schemas::records::clip::{
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::field::{Field, NamedArray, RAW_CHANNELS, TimeSlice, WeightsInfo};
 use rogs_schemas::records::origin::{ReferenceKind, ReferenceOrigin, ReferenceUse};
+use rogs_schemas::records::references::{MadeDepth, References};
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::records::scores::{ImageScore, RenderedView, RobotDepthScore, ScoreSheet, Scores, TrackScore};
@@ -226,6 +227,30 @@ fn views() -> Vec<SourceView> {
             frame: FrameIndex(2),
         },
     ]
+}
+
+pub(crate) fn references() -> References {
+    let mut depth_m = floats(60, 2 * AREA);
+    depth_m[3] = f32::NAN;
+    let made = |camera, origin| MadeDepth {
+        camera: CameraIndex(camera),
+        depth_m: depth_m.clone(),
+        range_m: [0.1, 5.0],
+        origin,
+    };
+    References {
+        clip_id: "clip".parse().unwrap(),
+        frame_count: FRAMES as u32,
+        height: HEIGHT,
+        width: WIDTH,
+        frames: vec![FrameIndex(0), FrameIndex(2)],
+        depth: vec![
+            made(0, ReferenceOrigin::ClassicalStereo),
+            made(2, ReferenceOrigin::DepthCamera),
+        ],
+        tracks: clip().tracks,
+        notes: vec!["stereo pair `ext1`, `ext1_right`: no stereo depth".into()],
+    }
 }
 
 pub(crate) fn conditioning() -> Conditioning {
