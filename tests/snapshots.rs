@@ -51,7 +51,15 @@ fn help_of_every_command() {
         let words: Vec<&str> = command.iter().map(String::as_str).collect();
         text += &help(&words);
     }
-    for stage in ["ingest", "robot-maps", "conditioning", "lift", "refine", "score"] {
+    for stage in [
+        "ingest",
+        "robot-maps",
+        "conditioning",
+        "references",
+        "lift",
+        "refine",
+        "score",
+    ] {
         text += &help(&["stage", stage]);
         text += &help(&["stage", stage, "one"]);
     }

@@ -74,7 +74,15 @@ fn code_lines(path: &Path) -> Vec<(usize, String)> {
 
 #[test]
 fn dependencies_point_one_way() {
-    let stages = ["ingest", "robot-maps", "conditioning", "lift", "refine", "score"];
+    let stages = [
+        "ingest",
+        "robot-maps",
+        "conditioning",
+        "references",
+        "lift",
+        "refine",
+        "score",
+    ];
     let is_stage = |name: &str| name.strip_prefix("rogs-").is_some_and(|name| stages.contains(&name));
     let allowed = |name: &str| -> &[&str] {
         match name {
@@ -102,6 +110,7 @@ fn dependencies_point_one_way() {
                 "rogs-weights",
                 "rogs-tensors",
             ],
+            "rogs-stereo" => &["rogs-schemas", "rogs-geometry", "rogs-kernels"],
             "rogs-lpips" => &["rogs-kernels", "rogs-weights", "rogs-tensors"],
             "rogs-orchestrator" => &["rogs-schemas", "rogs-r4c", "rogs-random"],
             "rogs-report" => &[
@@ -127,6 +136,7 @@ fn dependencies_point_one_way() {
                 "rogs-stage1",
                 "rogs-stage2",
                 "rogs-lpips",
+                "rogs-stereo",
                 "rogs-worker",
             ],
         }
@@ -166,7 +176,15 @@ fn only_the_table_names_stages() {
             continue;
         }
         for (line, code) in code_lines(&path) {
-            for name in ["ingest", "robot-maps", "conditioning", "lift", "refine", "score"] {
+            for name in [
+                "ingest",
+                "robot-maps",
+                "conditioning",
+                "references",
+                "lift",
+                "refine",
+                "score",
+            ] {
                 let quoted = format!("\"{name}\"");
                 assert!(
                     !code.contains(&quoted),

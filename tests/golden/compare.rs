@@ -7,6 +7,7 @@ use rogs_r4c::{Dtype, Reader, Record, StreamInfo, read_record};
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::field::Field;
+use rogs_schemas::records::references::References;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::Scores;
@@ -126,9 +127,13 @@ pub(crate) fn compare(expected: &Path, found: &Path, rule: Rule, exact: bool) ->
     }
 }
 
-/// A stream that holds one encoded value: the first of every record, and the second of scores.
+/// A stream that holds one encoded value: the first ones of every record.
 fn is_structured(info: &StreamInfo, reader: &Reader) -> bool {
-    let values = if reader.header().schema == "rogs.scores" { 2 } else { 1 };
+    let values = match reader.header().schema.as_str() {
+        "rogs.scores" => 3,
+        "rogs.clip" => 2,
+        _ => 1,
+    };
     reader.streams()[..values].iter().any(|value| value.name == info.name)
 }
 
@@ -190,6 +195,7 @@ fn compare_records(expected: &Path, found: &Path, rule: Rule) -> Result<(), Stri
             "rogs.clip" => debug::<Clip>(path),
             "rogs.robot" => debug::<RobotMaps>(path),
             "rogs.conditioning" => debug::<Conditioning>(path),
+            "rogs.references" => debug::<References>(path),
             "rogs.field" => debug::<Field>(path),
             "rogs.refinement" => debug::<Refinement>(path),
             "rogs.scores" => debug::<Scores>(path),

@@ -29,6 +29,8 @@ pub struct StageSpec {
     pub interval: Option<Interval>,
     /// What it makes does not depend on the observations: a rollout reads what was made of the recorded clip.
     pub blind: bool,
+    /// It runs only where the manifest has its table or names it, and what reads it does without it else.
+    pub asked: bool,
 }
 
 /// The parameters that say which frames of an episode are a clip.
@@ -188,13 +190,14 @@ impl StageSpec {
         selector: None,
         interval: None,
         blind: false,
+        asked: false,
     };
 
-    /// Stages whose outputs an output of this stage reads.
+    /// Stages whose outputs an output of this stage needs.
     pub fn producers<'a>(&'a self, output: &'a Output) -> impl Iterator<Item = StageId> + 'a {
         let read = self.inputs.iter().filter(|input| output.reads(input.role));
         read.filter_map(|input| match input.provider {
-            Provider::Stage(stage) => Some(stage),
+            Provider::Stage(stage) if !stage.spec().asked => Some(stage),
             _ => None,
         })
     }
@@ -295,6 +298,14 @@ stages! {
         blind: true,
         ..StageSpec::PLAIN
     };
+    /// What a clip is scored against, where it comes without.
+    References = "references": StageSpec {
+        inputs: &[CLIP, ROBOT],
+        outputs: &[Output::new("references", "references.r4c")],
+        blind: true,
+        asked: true,
+        ..StageSpec::PLAIN
+    };
     /// Stage 1: the field.
     Lift = "lift": StageSpec {
         inputs: &[
@@ -336,6 +347,7 @@ stages! {
             CLIP,
             ROBOT,
             FIELD,
+            Input::of("references", Provider::Stage(StageId::References)),
             Input::of("refinement", Provider::Stage(StageId::Refine)),
             Input::of("predictions", Provider::Predictions),
             Input::of("lpips", Provider::Weights(WeightsRole::Lpips)),
@@ -370,11 +382,15 @@ pub static OUTSIDE: Outside = Outside {
 };
 
 impl StageId {
-    /// These stages (all where none is named) and those that they need, in the order of the pipeline.
+    /// These stages (where none is named, all that need not be asked for) and those that they need, in the order of the
+    /// pipeline.
     #[must_use]
     pub fn with_producers(asked: &[Self]) -> Vec<Self> {
-        let asked = if asked.is_empty() { Self::ALL } else { asked };
-        let mut wanted: BTreeSet<Self> = asked.iter().copied().collect();
+        let mut wanted: BTreeSet<Self> = if asked.is_empty() {
+            Self::ALL.iter().copied().filter(|stage| !stage.spec().asked).collect()
+        } else {
+            asked.iter().copied().collect()
+        };
         // Producers come before their readers, so one pass from the end finds them all.
         for &stage in Self::ALL.iter().rev() {
             if let (true, Some(first)) = (wanted.contains(&stage), stage.spec().outputs.first()) {
@@ -467,8 +483,12 @@ mod tests {
 
     #[test]
     fn what_is_asked_for_brings_what_it_needs() {
-        use StageId::{Conditioning, Ingest, Lift, Refine, RobotMaps, Score};
-        assert_eq!(StageId::with_producers(&[]), StageId::ALL);
+        use StageId::{Conditioning, Ingest, Lift, References, Refine, RobotMaps, Score};
+        let unasked: Vec<StageId> = (StageId::ALL.iter().copied())
+            .filter(|&stage| stage != References)
+            .collect();
+        assert_eq!(StageId::with_producers(&[]), unasked);
+        assert_eq!(StageId::with_producers(&[References]), [Ingest, RobotMaps, References]);
         assert_eq!(StageId::with_producers(&[RobotMaps]), [Ingest, RobotMaps]);
         assert_eq!(
             StageId::with_producers(&[Conditioning]),

@@ -53,7 +53,7 @@ pub struct Ingest {
 impl Stage for Ingest {
     const NAME: &'static str = "ingest";
     const SUMMARY: &'static str = "Reads an episode folder of any supported layout and writes one clip of it.";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const OUTPUT: SchemaId = Clip::SCHEMA;
     type Params = Params;
 

@@ -11,6 +11,7 @@ use rogs_r4c::Record;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::{Field, WeightsInfo};
+use rogs_schemas::records::references::References;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
@@ -87,7 +88,7 @@ pub struct Score {
 impl Stage for Score {
     const NAME: &'static str = "score";
     const SUMMARY: &'static str = "Renders the field at the query plan from every camera and measures it.";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const OUTPUT: SchemaId = Scores::SCHEMA;
     type Params = ScoreParams;
 
@@ -96,6 +97,7 @@ impl Stage for Score {
             InputDescription::required("clip", Clip::SCHEMA.name),
             InputDescription::required("robot", RobotMaps::SCHEMA.name),
             InputDescription::optional("field", Field::SCHEMA.name),
+            InputDescription::optional("references", References::SCHEMA.name),
             InputDescription::optional("refinement", Refinement::SCHEMA.name),
             InputDescription::optional("predictions", "folder"),
             InputDescription::optional("lpips", "file"),
@@ -123,9 +125,13 @@ impl Stage for Score {
     }
 
     fn run(&mut self, context: &mut Context<'_>) -> StageResult<()> {
-        let clip: Clip = context.read("clip")?;
+        let mut clip: Clip = context.read("clip")?;
         let robot: RobotMaps = context.read("robot")?;
         check_clip(&clip, &robot)?;
+        if context.optional_input("references").is_some() {
+            let references: References = context.read("references")?;
+            references.complete(&mut clip).map_err(StageError::bad_input)?;
+        }
         match self.params.prediction {
             Some(prediction) => self.run_outside(context, &clip, &robot, prediction),
             None => self.run_own(context, &clip, &robot),
@@ -258,8 +264,10 @@ impl Score {
             .iter()
             .all(|image| image.psnr.is_none() && image.absrel.is_none())
         {
-            context
-                .warn("the clip has no reference images and no reference depth at the query times: nothing to score");
+            context.warn(
+                "the clip has no reference images and no reference depth at the query times: nothing to score; a table \
+                     [references] in the manifest makes depth from stereo pairs",
+            );
         }
         context.write(&Scores {
             summary: sheet,

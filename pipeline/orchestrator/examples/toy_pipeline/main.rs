@@ -131,6 +131,10 @@ fn main() -> ExitCode {
         Ok(StageId::Ingest) => stage_main_from::<Ingest>(arguments),
         Ok(StageId::RobotMaps) => stage_main_from::<Maps>(arguments),
         Ok(StageId::Conditioning) => stage_main_from::<Kappa>(arguments),
+        Ok(StageId::References) => {
+            eprintln!("error: the toy pipeline makes no references");
+            ExitCode::from(2)
+        }
         Ok(StageId::Lift) => stage_main_from::<Lift>(arguments),
         Ok(StageId::Refine) => stage_main_from::<Refine>(arguments),
         Ok(StageId::Score) => stage_main_from::<Score>(arguments),

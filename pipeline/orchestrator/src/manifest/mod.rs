@@ -7,6 +7,7 @@ mod size;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::LazyLock;
 
 pub use rogs_schemas::ids::{is_safe_name, safe_name};
 use rogs_schemas::records::clip::{RECORDED, ROLLOUT};
@@ -55,6 +56,10 @@ pub struct Manifest {
     /// Parameters of `conditioning`.
     #[serde(default)]
     pub conditioning: Params,
+    /// Parameters of `references`, which runs where this table is there: depth by stereo and robot tracks by kinematics, for
+    /// clips that come without.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub references: Option<Params>,
     /// Parameters of `lift` (Stage 1).
     #[serde(default)]
     pub lift: Params,
@@ -266,6 +271,9 @@ pub struct Variant {
     /// Parameters of `conditioning`.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub conditioning: Params,
+    /// Parameters of `references`, which runs where this table is there or the run has it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub references: Option<Params>,
     /// Parameters of `lift`.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub lift: Params,
@@ -372,11 +380,20 @@ pub struct Report {
     pub clips: Option<usize>,
 }
 
+/// Parameters of a stage whose table is not there.
+static NO_PARAMS: LazyLock<Params> = LazyLock::new(Params::new);
+
 /// `params(stage)` for a table that has one table per stage. serde could flatten a shared struct into both, but then its
 /// errors lose their line, their column and the names that are known.
 macro_rules! stage_tables {
     ($table:ty) => {
         impl $table {
+            /// Whether it asks for a stage that has to be asked for.
+            #[must_use]
+            pub fn asks(&self, stage: StageId) -> bool {
+                stage == StageId::References && self.references.is_some()
+            }
+
             /// Parameters that it gives a stage.
             #[must_use]
             pub fn params(&self, stage: StageId) -> &Params {
@@ -384,6 +401,7 @@ macro_rules! stage_tables {
                     StageId::Ingest => &self.ingest,
                     StageId::RobotMaps => &self.robot_maps,
                     StageId::Conditioning => &self.conditioning,
+                    StageId::References => self.references.as_ref().unwrap_or(&NO_PARAMS),
                     StageId::Lift => &self.lift,
                     StageId::Refine => &self.refine,
                     StageId::Score => &self.score,

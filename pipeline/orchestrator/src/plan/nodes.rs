@@ -32,7 +32,7 @@ pub(super) fn make_nodes(
         text,
         programs,
         sources,
-        wanted: StageId::with_producers(&manifest.run.stages),
+        wanted: wanted(manifest),
         described: HashMap::new(),
         nodes: Vec::new(),
     };
@@ -68,6 +68,22 @@ pub(super) fn make_nodes(
         }
     }
     Ok(builder.nodes)
+}
+
+/// The stages to run, with those they need: what `[run] stages` names, and what a table asks for where a stage reads it.
+fn wanted(manifest: &Manifest) -> Vec<StageId> {
+    let mut wanted = StageId::with_producers(&manifest.run.stages);
+    let asks = |stage| manifest.asks(stage) || manifest.variants.iter().any(|variant| variant.asks(stage));
+    let reads = |reader: &StageId, stage| {
+        let mut inputs = reader.spec().inputs.iter();
+        inputs.any(|input| input.provider == Provider::Stage(stage))
+    };
+    for &stage in StageId::ALL.iter().filter(|stage| stage.spec().asked) {
+        if asks(stage) && wanted.iter().any(|reader| reads(reader, stage)) {
+            wanted.push(stage);
+        }
+    }
+    StageId::with_producers(&wanted)
 }
 
 /// Which node makes the output of a stage, while the nodes of a variant are made.
@@ -214,6 +230,9 @@ impl<'a> Builder<'a> {
     fn add_chain(&mut self, chain: Chain<'a>, shared: Option<&Made>) -> Result<Made> {
         let mut made = Made::new();
         for stage in self.wanted.clone() {
+            if stage.spec().asked && !self.asked_by(chain.column, stage) {
+                continue;
+            }
             let shared = shared.filter(|_| stage.spec().blind);
             if let Some(&node) = shared.and_then(|shared| shared.get(&stage)) {
                 made.insert(stage, node);
@@ -230,6 +249,15 @@ impl<'a> Builder<'a> {
             }
         }
         Ok(made)
+    }
+
+    /// Whether the run or a variant wants a stage that has to be asked for.
+    fn asked_by(&self, column: Column<'_>, stage: StageId) -> bool {
+        let variant = match column {
+            Column::Variant(_, variant) => variant.asks(stage),
+            Column::Main | Column::Outside(..) => false,
+        };
+        variant || self.manifest.asks(stage) || self.manifest.run.stages.contains(&stage)
     }
 
     /// Adds the node that scores an outside method.
