@@ -164,10 +164,10 @@ fn search(left: &Grey, right: &Grey, [column, row]: [usize; 2], reach: i64) -> O
         return None;
     }
     let [above, here, below] = [best - columns, best, best + columns].map(|index| f64::from(sums[index]));
-    // A parabola through the three rows; a missing row at the border of the image counts as far away.
-    let curvature = above - 2.0 * here + below;
-    let fraction = if curvature > 0.0 {
-        (above - below) / (2.0 * curvature)
+    // Two lines of opposite slope, as sums of absolute differences have them.
+    let steepest = above.max(below) - here;
+    let fraction = if steepest > 0.0 {
+        (above - below) / (2.0 * steepest)
     } else {
         0.0
     };

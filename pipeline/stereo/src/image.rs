@@ -51,6 +51,26 @@ impl Grey {
         &self.pixels
     }
 
+    /// The image whose row `y` is row `y + rows` of this one, between rows linearly, beyond the border the border.
+    pub(crate) fn from_row(&self, rows: f32) -> Self {
+        let whole = rows.floor();
+        let last = self.height as i64 - 1;
+        let of = |row: usize| {
+            let upper = row as i64 + whole as i64;
+            let [upper, lower] = [upper, upper + 1].map(|row| self.row(row.clamp(0, last) as usize));
+            let blend = move |(&upper, &lower): (&u8, &u8)| {
+                let (upper, lower) = (f32::from(upper), f32::from(lower));
+                (upper + (rows - whole) * (lower - upper)).round() as u8
+            };
+            upper.iter().zip(lower).map(blend)
+        };
+        Self {
+            width: self.width,
+            height: self.height,
+            pixels: (0..self.height).flat_map(of).collect(),
+        }
+    }
+
     /// One row.
     pub(crate) fn row(&self, row: usize) -> &[u8] {
         &self.pixels[row * self.width..(row + 1) * self.width]
@@ -67,4 +87,18 @@ fn check(width: usize, height: usize, expected: usize, found: usize) -> Result<(
         });
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_moved_and_blended() {
+        let image = Grey::new(2, 3, vec![10, 20, 30, 40, 50, 60]).unwrap();
+        assert_eq!(image.from_row(0.0), image);
+        assert_eq!(image.from_row(1.0).pixels(), [30, 40, 50, 60, 50, 60]);
+        assert_eq!(image.from_row(-0.5).pixels(), [10, 20, 20, 30, 40, 50]);
+        assert_eq!(image.from_row(0.25).pixels(), [15, 25, 35, 45, 50, 60]);
+    }
 }

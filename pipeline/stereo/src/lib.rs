@@ -36,6 +36,6 @@ mod winner;
 pub use diagnose::{Concern, diagnose};
 pub use error::{Error, Result};
 pub use image::Grey;
-pub use matcher::{StereoMatch, match_pair};
+pub use matcher::{StereoMatch, match_offset_pair, match_pair};
 pub use params::{MAX_DISPARITIES, MatcherParams};
 pub use rig::Rig;

@@ -27,6 +27,34 @@ impl StereoMatch {
     }
 }
 
+/// Matches a pair whose right eye shows everything `rows_px` rows lower, as [`diagnose`](crate::diagnose) measures it.
+///
+/// # Errors
+/// As [`match_pair`], and when the offset is not finite.
+pub fn match_offset_pair(
+    left: &Grey,
+    right: &Grey,
+    rows_px: f32,
+    rig: &Rig,
+    params: &MatcherParams,
+) -> Result<StereoMatch> {
+    if !rows_px.is_finite() {
+        return Err(Error::Setting {
+            what: format!("invalid offset of rows {rows_px}: expected pixels"),
+        });
+    }
+    let mut found = match_pair(left, &right.from_row(rows_px), rig, params)?;
+    // Back to the rows of the right eye, the nearest ones.
+    let (width, rows) = (right.width(), rows_px.round() as i64);
+    let moved = |row: i64| {
+        let from = usize::try_from(row - rows).ok().filter(|&from| from < right.height());
+        let row = from.map(|from| &found.right_px[from * width..(from + 1) * width]);
+        row.map_or_else(|| vec![f32::NAN; width], <[f32]>::to_vec)
+    };
+    found.right_px = (0..right.height() as i64).flat_map(moved).collect();
+    Ok(found)
+}
+
 /// Matches a rectified pair (`docs/spec/references.md` section 1). The result does not depend on the number of threads.
 ///
 /// # Errors

@@ -4,7 +4,7 @@
 mod common;
 
 use common::{Eye, HEIGHT, RIG, Surface, WIDTH, compare, eye, pair};
-use rogs_stereo::{Concern, Grey, MatcherParams, Rig, StereoMatch, diagnose, match_pair};
+use rogs_stereo::{Concern, Grey, MatcherParams, Rig, StereoMatch, diagnose, match_offset_pair, match_pair};
 
 fn params() -> MatcherParams {
     MatcherParams {
@@ -193,6 +193,16 @@ fn rows_that_do_not_meet_are_told_with_their_offset() {
             "{}",
             concerns[0]
         );
+        // Matched with that offset, both eyes have their own rows back.
+        let found = match_offset_pair(&left.image, &right.image, rows_px, &RIG, &params()).unwrap();
+        for disparity in [found.left_px, found.right_px] {
+            let depths = disparity.iter().map(|&value| f64::from(RIG.depth_m(value)));
+            let agreement = compare(depths, left.depth_m.iter().copied());
+            assert!(
+                agreement.coverage > 0.75 && agreement.absrel < 0.02,
+                "{lower}: {agreement:?}"
+            );
+        }
     }
 }
 

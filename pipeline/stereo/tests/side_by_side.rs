@@ -12,7 +12,7 @@ use std::process::Command;
 
 use common::{Agreement, compare};
 use rogs_needs::{needs, shared};
-use rogs_stereo::{Grey, MatcherParams, Rig, diagnose, match_pair};
+use rogs_stereo::{Concern, Grey, MatcherParams, Rig, diagnose, match_offset_pair};
 use rogs_synth::{CAMERA_NAMES, SynthConfig, generate_episode};
 
 /// A pair with its true depth.
@@ -29,7 +29,7 @@ impl Pair {
     /// Depth of the left eye by the matcher.
     fn ours(&self) -> Vec<f64> {
         let [left, right] = &self.eyes;
-        let found = match_pair(left, right, &self.rig, &self.params).unwrap();
+        let found = match_offset_pair(left, right, self.rows_px(), &self.rig, &self.params).unwrap();
         found
             .left_px
             .iter()
@@ -37,7 +37,17 @@ impl Pair {
             .collect()
     }
 
-    /// Depth of the left eye by OpenCV, by the script in `tests/peers`.
+    /// By how many rows the right eye shows everything lower, 0 where it is rectified.
+    fn rows_px(&self) -> f32 {
+        let [left, right] = &self.eyes;
+        match diagnose(left, right, &self.rig, &self.params).unwrap()[..] {
+            [] => 0.0,
+            [Concern::Rows { rows_px, .. }] => rows_px,
+            ref concerns => panic!("{}: {concerns:?}", self.name),
+        }
+    }
+
+    /// Depth of the left eye by OpenCV, which is given the same offset of rows, by the script in `tests/peers`.
     fn peers(pairs: &[Self]) -> Vec<Vec<f64>> {
         let folder = tempfile::tempdir().unwrap();
         let path = |index: usize, what: &str| folder.path().join(format!("{index}-{what}"));
@@ -52,7 +62,10 @@ impl Pair {
                 command.arg(path(index, eye));
             }
             let nearest = pair.rig.disparity_px(pair.params.near_m).ceil();
-            command.arg(nearest.min(256.0).to_string()).arg(path(index, "out"));
+            command
+                .arg(nearest.min(256.0).to_string())
+                .arg(pair.rows_px().to_string());
+            command.arg(path(index, "out"));
         }
         let output = command.output().unwrap();
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -202,18 +215,6 @@ fn recorded() -> Vec<Pair> {
     (0..5).map(pair).collect()
 }
 
-fn nothing_is_wrong_with(pairs: &[Pair]) {
-    for pair in pairs {
-        let [left, right] = &pair.eyes;
-        assert_eq!(
-            diagnose(left, right, &pair.rig, &pair.params).unwrap(),
-            [],
-            "{}",
-            pair.name
-        );
-    }
-}
-
 fn ours(pairs: &[Pair]) -> Agreement {
     let all: Vec<Agreement> = pairs.iter().map(|pair| pair.agreement(&pair.ours())).collect();
     for (pair, own) in pairs.iter().zip(&all) {
@@ -232,7 +233,7 @@ fn procedural_pairs_come_near_their_exact_depth() {
         ("ext2", 0.45, 0.035, 0.35),
     ] {
         let pairs = procedural(camera);
-        nothing_is_wrong_with(&pairs);
+        assert!(pairs.iter().all(|pair| pair.rows_px() == 0.0), "{camera}");
         let mean = ours(&pairs);
         assert!(mean.coverage > least_coverage, "{camera}: {mean:?}");
         assert!(
@@ -246,10 +247,13 @@ fn procedural_pairs_come_near_their_exact_depth() {
 #[test]
 fn recorded_pairs_come_near_the_depth_of_the_camera() {
     let pairs = recorded();
-    nothing_is_wrong_with(&pairs);
+    for pair in &pairs {
+        // SIFT matches of the same images lie 0.70 to 0.73 rows lower in the right eye.
+        assert!((pair.rows_px() - 0.72).abs() < 0.2, "{}: {}", pair.name, pair.rows_px());
+    }
     let mean = ours(&pairs);
-    assert!(mean.coverage > 0.48, "{mean:?}");
-    assert!(mean.absrel < 0.052 && mean.median < 0.022, "{mean:?}");
+    assert!(mean.coverage > 0.53, "{mean:?}");
+    assert!(mean.absrel < 0.042 && mean.median < 0.018, "{mean:?}");
 }
 
 /// Ours knows fewer pixels than SGBM on white walls, and is as good where both know.

@@ -7,7 +7,7 @@ use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::records::references::MadeDepth;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::{CameraIndex, FrameIndex};
-use rogs_stereo::{Concern, Grey, Rig, diagnose, match_pair};
+use rogs_stereo::{Concern, Grey, Rig, diagnose, match_offset_pair, match_pair};
 use rogs_worker::{StageError, StageResult};
 
 use crate::params::Params;
@@ -118,6 +118,7 @@ fn of_pair(
         .map(|&frame| view(clip, robot, pair, frame).map_err(|why| format!("frame {frame}: {why}")))
         .collect::<Result<_, String>>()?;
     let mut notes = Vec::new();
+    let mut offset = None;
     if let Some(View {
         eyes: [left, right],
         rig,
@@ -126,7 +127,13 @@ fn of_pair(
         for concern in diagnose(left, right, rig, &params.stereo).map_err(|error| error.to_string())? {
             match concern {
                 Concern::Swapped { .. } => return Err(concern.to_string()),
-                Concern::Rows { .. } => notes.push(format!("{}: {concern}; its depth may be wrong", pair.name())),
+                Concern::Rows { rows_px, .. } => {
+                    notes.push(format!(
+                        "{}: {concern}; matched with its rows moved by that",
+                        pair.name()
+                    ));
+                    offset = Some(rows_px);
+                }
             }
         }
     }
@@ -135,8 +142,11 @@ fn of_pair(
             eyes: [left, right],
             rig,
         } = view;
-        let found = match_pair(left, right, rig, &params.stereo).map_err(|error| error.to_string())?;
-        Ok(found.depths_m(rig))
+        let found = match offset {
+            None => match_pair(left, right, rig, &params.stereo),
+            Some(rows_px) => match_offset_pair(left, right, rows_px, rig, &params.stereo),
+        };
+        Ok(found.map_err(|error| error.to_string())?.depths_m(rig))
     };
     let small = clip.height as usize * clip.width as usize <= SMALL_AREA;
     let maps: Vec<[Vec<f32>; 2]> = if small {
