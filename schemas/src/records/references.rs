@@ -129,7 +129,8 @@ mod tests {
             mount: CameraMount::Fixed {
                 base_from_camera: RigidPose::IDENTITY,
             },
-            rgb: None,
+            recorded: None,
+            generated: None,
             depth: Some(DepthReference {
                 depth_m: vec![1.0; 6],
                 range_m: [0.1, 5.0],
@@ -156,6 +157,7 @@ mod tests {
                 gripper: vec![0.0; 3],
             },
             tracks: None,
+            rollout: None,
         }
     }
 

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 use rogs_geometry::{Base, Camera, Pose, PosedCamera};
-use rogs_schemas::records::clip::{Clip, ClipCamera};
+use rogs_schemas::records::clip::{Clip, ClipCamera, Target};
 use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::records::references::MadeDepth;
 use rogs_schemas::records::robot::RobotMaps;
@@ -74,7 +74,7 @@ impl Pair<'_> {
 
 /// Whether a camera has images and a partner that has some.
 fn has_pair(clip: &Clip, camera: &ClipCamera) -> bool {
-    let seen = |camera: &ClipCamera| camera.rgb.is_some();
+    let seen = |camera: &ClipCamera| camera.recorded.is_some();
     let of_pair = |other: &ClipCamera| {
         let left = other.partner.and_then(|left| clip.cameras.get(left.at()));
         let member = other.id == camera.id || left.is_some_and(|left| left.id == camera.id);
@@ -89,7 +89,7 @@ fn pairs<'a>(clip: &'a Clip, params: &Params) -> Vec<Pair<'a>> {
         let at = right.partner?;
         let left = clip.cameras.get(at.at())?;
         let wanted = [left, right].map(|camera| params.depth.wants(camera.depth.is_some()));
-        let useful = wanted.contains(&true) && left.rgb.is_some() && right.rgb.is_some();
+        let useful = wanted.contains(&true) && left.recorded.is_some() && right.recorded.is_some();
         useful.then_some(Pair {
             left: (at, left),
             right: (place, right),
@@ -187,14 +187,13 @@ fn view(clip: &Clip, robot: &RobotMaps, pair: &Pair<'_>, frame: FrameIndex) -> R
     let left_from_right: Pose<Camera, Camera> = base_from_left.inverse() * right.world_from_camera;
     let rig = Rig::new(&left.lens, &right.lens, &left_from_right).map_err(|error| error.to_string())?;
     let (width, height) = (clip.width as usize, clip.height as usize);
-    let bytes = 3 * width * height;
-    let image = |camera: &ClipCamera| {
-        let start = frame.at() * bytes;
-        let rgb = camera.rgb.as_ref().and_then(|rgb| rgb.get(start..start + bytes));
+    // Recorded images, in rollouts too: references do not depend on what a world model made.
+    let image = |camera: CameraIndex| {
+        let rgb = clip.target(camera, frame).map(Target::rgb);
         Grey::of_rgb(width, height, rgb.unwrap_or_default()).map_err(|error| error.to_string())
     };
     Ok(View {
-        eyes: [image(pair.left.1)?, image(pair.right.1)?],
+        eyes: [image(pair.left.0)?, image(pair.right.0)?],
         rig,
     })
 }

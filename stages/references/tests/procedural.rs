@@ -237,8 +237,8 @@ fn pairs_that_cannot_be_matched_are_named() {
 
     // Images the other way round: the calibration is right, the pictures are not.
     let (made, said) = notes(|clip, _| {
-        let left = clip.cameras[1].rgb.take();
-        clip.cameras[1].rgb = std::mem::replace(&mut clip.cameras[4].rgb, left);
+        let left = clip.cameras[1].recorded.take();
+        clip.cameras[1].recorded = std::mem::replace(&mut clip.cameras[4].recorded, left);
     });
     assert_eq!(made, 4);
     assert!(said.contains("left and right eyes look swapped"), "{said}");
@@ -247,7 +247,7 @@ fn pairs_that_cannot_be_matched_are_named() {
     let (made, said) = notes(|clip, _| {
         let row = 3 * clip.width as usize;
         let image = row * clip.height as usize;
-        let rgb = clip.cameras[4].rgb.as_mut().unwrap();
+        let rgb = clip.cameras[4].recorded.as_mut().unwrap();
         for image in rgb.chunks_exact_mut(image) {
             image.copy_within(..image.len() - 2 * row, 2 * row);
         }
@@ -255,7 +255,7 @@ fn pairs_that_cannot_be_matched_are_named() {
     assert_eq!(made, 6);
     assert!(said.contains("not rectified") && said.contains("+2.0 pixels"), "{said}");
 
-    let (made, said) = notes(|clip, _| clip.cameras[4].rgb = None);
+    let (made, said) = notes(|clip, _| clip.cameras[4].recorded = None);
     assert_eq!(made, 4);
     assert!(said.is_empty() || said.contains("no pair"), "{said}");
 }
