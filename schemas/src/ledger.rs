@@ -8,6 +8,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+use crate::ids::ClipId;
 use crate::key::CacheKey;
 use crate::protocol::{FailureCode, Job};
 
@@ -17,7 +18,7 @@ pub struct Attempt {
     /// When it ended, milliseconds since 1970 by the clock of the machine; for people only.
     pub unix_ms: u64,
     /// The clip.
-    pub clip_id: String,
+    pub clip_id: ClipId,
     /// The stage.
     pub stage: String,
     /// The output's file, relative to the run folder.

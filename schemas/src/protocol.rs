@@ -5,15 +5,21 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+use crate::ids::ClipId;
 use crate::key::{CacheKey, KeyMaterial};
+
+/// Number of a job, by which the events of a worker say what they are about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct JobId(pub u64);
 
 /// One unit of work: one stage on one clip.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Job {
     /// Id that the events answer with.
-    pub job: u64,
+    pub job: JobId,
     /// The clip, for messages.
-    pub clip_id: String,
+    pub clip_id: ClipId,
     /// Input files and folders by role (`episode`, `clip`, `robot-model`, `robot`, `conditioning`, `field`, `weights`, ...).
     pub inputs: BTreeMap<String, PathBuf>,
     /// Where the output goes; its folder exists.
@@ -40,12 +46,12 @@ pub enum Event {
     /// The job has begun.
     Started {
         /// Id of the job.
-        job: u64,
+        job: JobId,
     },
     /// How far the job is.
     Progress {
         /// Id of the job.
-        job: u64,
+        job: JobId,
         /// 0..=1.
         fraction: f64,
         /// What is being done, a few words.
@@ -54,7 +60,7 @@ pub enum Event {
     /// The output lies in its place.
     Done {
         /// Id of the job.
-        job: u64,
+        job: JobId,
         /// Seconds by phase; `total` is always there.
         seconds: BTreeMap<String, f64>,
         /// Peak resident memory of the worker process so far, bytes.
@@ -68,7 +74,7 @@ pub enum Event {
     /// The job failed; the worker continues with the next.
     Failed {
         /// Id of the job.
-        job: u64,
+        job: JobId,
         /// What kind of failure, for the retry policy.
         code: FailureCode,
         /// What, where (file, frame, joint).

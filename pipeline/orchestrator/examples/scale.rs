@@ -157,7 +157,7 @@ fn measure(folder: &Path, clips: usize, run_clips: usize, large: usize) -> Anyho
             .flat_map(|round| {
                 base.iter().map(move |clip| {
                     let mut clip = clip.clone();
-                    clip.id = format!("{}-{round}", clip.id);
+                    clip.id = ClipId::made_of(&format!("{}-{round}", clip.id));
                     clip
                 })
             })

@@ -1,5 +1,6 @@
 //! Why a unit has to be made, down to the value that changed.
 
+use rogs_schemas::ClipId;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -10,7 +11,7 @@ use crate::state::{OutputState, output_state};
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Explanation {
     /// The clip.
-    pub clip: String,
+    pub clip: ClipId,
     /// The node, for example `lift`.
     pub node: String,
     /// The output, relative to the run folder.

@@ -5,6 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use rogs_schemas::ledger::PlannedUnit;
+use rogs_schemas::protocol::JobId;
 use serde::Serialize;
 
 use crate::error::{Result, io};
@@ -51,7 +52,7 @@ pub fn write_units(plan: &Plan, shards: u32, out: &mut dyn Write) -> std::io::Re
         let keys = maker.keys(clip);
         let shard = shard_of(clip, plan.clips.len(), shards);
         for node in 0..plan.nodes.len() {
-            let job = plan.job(number, WorkUnit { clip, node }, &keys);
+            let job = plan.job(JobId(number), WorkUnit { clip, node }, &keys);
             let unit = PlannedUnit {
                 shard,
                 shards,

@@ -267,7 +267,7 @@ mod tests {
     fn attempt(unix_ms: u64, output: &str, outcome: Outcome) -> Attempt {
         Attempt {
             unix_ms,
-            clip_id: "a".into(),
+            clip_id: "a".parse().unwrap(),
             stage: "lift".into(),
             output: output.into(),
             key: CacheKey::default(),

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
+use rogs_schemas::ClipId;
 use rogs_schemas::ledger::Failure;
 use serde::Serialize;
 
@@ -86,7 +87,7 @@ pub struct NodeStatus {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct StatusFailure {
     /// The clip.
-    pub clip: String,
+    pub clip: ClipId,
     /// The node.
     pub node: String,
     /// Why.
@@ -98,7 +99,7 @@ pub struct StatusFailure {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct ClipStatus {
     /// The clip.
-    pub clip: String,
+    pub clip: ClipId,
     /// States in the order of [`Status::nodes`].
     pub states: Vec<UnitState>,
 }

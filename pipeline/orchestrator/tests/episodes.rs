@@ -16,7 +16,7 @@ const BASE: &str = "[run]\nname = \"toy\"\nout = \"run\"\n[robot]\nurdf = \"robo
 fn ids(workspace: &Workspace, more: &str) -> Vec<String> {
     workspace.write("toy.toml", &format!("{BASE}{more}"));
     let plan = workspace.prepare().plan;
-    plan.clips.iter().map(|clip| clip.id.clone()).collect()
+    plan.clips.iter().map(|clip| clip.id.to_string()).collect()
 }
 
 /// Message and hint for such a manifest.

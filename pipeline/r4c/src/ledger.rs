@@ -106,7 +106,7 @@ mod tests {
         assert_eq!(read(&path).unwrap(), []);
         let mut attempt = Attempt {
             unix_ms: 1,
-            clip_id: "clip".into(),
+            clip_id: "clip".parse().unwrap(),
             stage: "lift".into(),
             output: "clips/clip/field-1.r4c".into(),
             key: CacheKey::default(),

@@ -74,7 +74,7 @@ impl RunResults {
             results.add_clip(index, &states[index], &attempts);
         }
         for failure in status.failures {
-            if let Some(clip) = results.clips.iter_mut().find(|clip| clip.id == failure.clip) {
+            if let Some(clip) = results.clips.iter_mut().find(|clip| failure.clip == clip.id.as_str()) {
                 clip.failures.push(failure);
             }
         }
@@ -88,7 +88,7 @@ impl RunResults {
         let mut records: BTreeMap<usize, Option<Clip>> = BTreeMap::new();
         let keys = plan.keys(index);
         let mut clip = ClipResults {
-            id: plan.clips[index].id.clone(),
+            id: plan.clips[index].id.to_string(),
             ..ClipResults::default()
         };
         // Attempts by node, for the timing of methods.

@@ -8,7 +8,6 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use rogs_r4c::Record;
-use rogs_schemas::ClipId;
 use rogs_schemas::SchemaId;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
@@ -89,7 +88,7 @@ impl Stage for Toy {
         context.warn(format!("loaded {} times", self.loads));
         let scores = Scores {
             summary: ScoreSheet {
-                clip_id: ClipId::made_of(context.clip_id()),
+                clip_id: context.clip_id().clone(),
                 method: text.repeat(self.params.repeat as usize),
                 setting: "recorded".into(),
                 ssim_variant: String::new(),

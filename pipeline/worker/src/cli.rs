@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
+use rogs_schemas::ClipId;
 use rogs_schemas::protocol::InputDescription;
 
 use crate::batch::{BatchArguments, batch};
@@ -53,7 +54,7 @@ fn dispatch<S: Stage>(matches: &ArgMatches) -> StageResult<ExitCode> {
                 inputs,
                 output: path("out").unwrap_or_default(),
                 params: params_of(matches)?,
-                clip_id: matches.get_one::<String>("clip-id").cloned(),
+                clip_id: matches.get_one::<ClipId>("clip-id").cloned(),
                 quiet: matches.get_flag("quiet"),
             };
             Ok(one::<S>(&arguments))
@@ -143,6 +144,7 @@ fn command<S: Stage>() -> Command {
     let clip_id = Arg::new("clip-id")
         .long("clip-id")
         .value_name("ID")
+        .value_parser(value_parser!(ClipId))
         .help("Name of the clip in messages");
     let quiet = Arg::new("quiet")
         .long("quiet")

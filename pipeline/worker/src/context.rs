@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use rogs_r4c::Record;
+use rogs_schemas::ClipId;
 use rogs_schemas::key::{CacheKey, ContentHash, Provenance};
 
 use crate::error::{StageError, StageResult};
@@ -12,7 +13,7 @@ use crate::observer::Observer;
 
 /// What a running stage sees: its inputs, where to put the output, and how to report.
 pub struct Context<'a> {
-    clip_id: &'a str,
+    clip_id: &'a ClipId,
     inputs: &'a BTreeMap<String, PathBuf>,
     output: &'a Path,
     provenance: Provenance,
@@ -31,7 +32,7 @@ pub(crate) struct Outcome {
 
 impl<'a> Context<'a> {
     pub(crate) fn new(
-        clip_id: &'a str,
+        clip_id: &'a ClipId,
         inputs: &'a BTreeMap<String, PathBuf>,
         output: &'a Path,
         provenance: Provenance,
@@ -62,7 +63,7 @@ impl<'a> Context<'a> {
 impl Context<'_> {
     /// The clip's id.
     #[must_use]
-    pub fn clip_id(&self) -> &str {
+    pub fn clip_id(&self) -> &ClipId {
         self.clip_id
     }
 

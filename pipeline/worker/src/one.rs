@@ -7,9 +7,9 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use rogs_r4c::source::hash_source;
-use rogs_schemas::ids::safe_name;
+use rogs_schemas::ClipId;
 use rogs_schemas::key::KeyMaterial;
-use rogs_schemas::protocol::Job;
+use rogs_schemas::protocol::{Job, JobId};
 use serde_json::Value;
 
 use crate::error::{StageError, StageResult};
@@ -25,7 +25,7 @@ pub(crate) struct OneArguments {
     pub(crate) inputs: BTreeMap<String, PathBuf>,
     pub(crate) output: PathBuf,
     pub(crate) params: Value,
-    pub(crate) clip_id: Option<String>,
+    pub(crate) clip_id: Option<ClipId>,
     pub(crate) quiet: bool,
 }
 
@@ -83,8 +83,8 @@ fn job_of<S: Stage>(arguments: &OneArguments) -> StageResult<Job> {
     };
     let clip_id = clip_id
         .take()
-        .or_else(|| first().map(|stem| safe_name(&stem)))
-        .unwrap_or_else(|| "clip".to_owned());
+        .or_else(|| first().map(|stem| ClipId::made_of(&stem)))
+        .unwrap_or_else(|| ClipId::made_of("clip"));
     let material = KeyMaterial {
         stage: S::NAME.to_owned(),
         stage_version: S::VERSION,
@@ -93,7 +93,7 @@ fn job_of<S: Stage>(arguments: &OneArguments) -> StageResult<Job> {
         inputs: ids,
     };
     Ok(Job {
-        job: 0,
+        job: JobId(0),
         clip_id,
         inputs: arguments.inputs.clone(),
         output: arguments.output.clone(),

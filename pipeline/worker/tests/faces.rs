@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
 use rogs_r4c::Record as _;
+use rogs_schemas::ClipId;
 use rogs_schemas::key::KeyMaterial;
-use rogs_schemas::protocol::{Description, Event, FailureCode, Job};
+use rogs_schemas::protocol::{Description, Event, FailureCode, Job, JobId};
 use rogs_schemas::records::scores::Scores;
 use serde_json::json;
 
@@ -51,8 +52,8 @@ impl Folder {
             inputs: [("source".to_owned(), format!("{number}"))].into(),
         };
         Job {
-            job: number,
-            clip_id: format!("clip-{number}"),
+            job: JobId(number),
+            clip_id: ClipId::made_of(&format!("clip-{number}")),
             inputs: [("source".to_owned(), source)].into(),
             output: self.path("out.r4c"),
             params,

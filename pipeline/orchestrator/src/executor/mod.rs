@@ -10,6 +10,7 @@ mod slot;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use rogs_schemas::ClipId;
 use serde::Serialize;
 
 pub use progress::ProgressMode;
@@ -136,7 +137,7 @@ pub struct ClipCounts {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct UnitFailure {
     /// The clip.
-    pub clip: String,
+    pub clip: ClipId,
     /// Id of its episode.
     pub episode: String,
     /// The node, for example `lift`.

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use rogs_r4c::ledger::now_ms;
 use rogs_schemas::ledger::{Attempt, Failure, Outcome};
-use rogs_schemas::protocol::FailureCode;
+use rogs_schemas::protocol::{FailureCode, JobId};
 
 use super::policy::{Retry, retry};
 use super::progress::Display;
@@ -81,7 +81,7 @@ struct Schedule<'a> {
     ledger: Ledger,
     display: Display,
     /// Units in hand by job number.
-    running: HashMap<u64, WorkUnit>,
+    running: HashMap<JobId, WorkUnit>,
     attempts: HashMap<WorkUnit, u8>,
     /// Largest peak memory by stage, bytes.
     memory: BTreeMap<StageId, u64>,
@@ -186,7 +186,7 @@ impl<'a> Schedule<'a> {
 
     fn start(&mut self, slot: usize, unit: WorkUnit) -> Result<()> {
         let keys = self.plan.keys(unit.clip);
-        let job = self.plan.job(self.next_job, unit, &keys);
+        let job = self.plan.job(JobId(self.next_job), unit, &keys);
         self.next_job += 1;
         if let Some(folder) = job.output.parent() {
             std::fs::create_dir_all(folder).map_err(io("cannot make the folder", folder))?;

@@ -4,7 +4,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
 use rogs_schemas::ledger::{Failure, Outcome};
-use rogs_schemas::protocol::{Event, FailureCode, Job};
+use rogs_schemas::protocol::{Event, FailureCode, Job, JobId};
 
 use super::RunOptions;
 use super::policy::of_crash;
@@ -34,7 +34,7 @@ pub(super) enum Message {
     },
     Ended {
         slot: usize,
-        job: u64,
+        job: JobId,
         result: Box<JobResult>,
     },
 }

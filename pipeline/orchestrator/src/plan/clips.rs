@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use rayon::prelude::*;
-use rogs_schemas::ContentHash;
 use rogs_schemas::ids::did_you_mean;
 use rogs_schemas::selection::Selection;
+use rogs_schemas::{ClipId, ContentHash};
 use serde_json::Map;
 
 use super::model::{Plan, PlannedClip, PlannedSource, latents_file};
@@ -466,7 +466,7 @@ impl<'a> Patterns<'a> {
 }
 
 /// Safe and unique names. A name that was chosen is kept; a name that was made gets a suffix where it would collide.
-fn names(asked: &[Asked<'_>], text: &Text) -> Result<Vec<String>> {
+fn names(asked: &[Asked<'_>], text: &Text) -> Result<Vec<ClipId>> {
     let mut taken = BTreeSet::new();
     for asked in asked {
         if let Some(id) = asked.chosen().filter(|id| !taken.insert(id.to_lowercase())) {
@@ -510,11 +510,11 @@ fn names(asked: &[Asked<'_>], text: &Text) -> Result<Vec<String>> {
         }
         ids.push(id);
     }
-    Ok(ids)
+    Ok(ids.iter().map(|id: &String| ClipId::made_of(id)).collect())
 }
 
 /// Content of a clip's folder in each of the plan's predictions; empty when there is none at all.
-fn predictions(plan: &Plan, id: &str, sources: &SourceCache) -> Result<Vec<Option<ContentHash>>> {
+fn predictions(plan: &Plan, id: &ClipId, sources: &SourceCache) -> Result<Vec<Option<ContentHash>>> {
     let of = |root: &PathBuf| {
         let folder = root.join(id);
         let content = folder.is_dir().then(|| sources.source("predictions", &folder));

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use rogs_schemas::ContentHash;
 use rogs_schemas::selection::CohortCounts;
+use rogs_schemas::{ClipId, ContentHash};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
@@ -136,7 +136,7 @@ pub struct PlannedSource {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PlannedClip {
     /// Safe name, unique in the run also without regard to case.
-    pub id: String,
+    pub id: ClipId,
     /// Id in its dataset.
     pub episode: String,
     /// Layout of the episode.
@@ -230,6 +230,6 @@ impl Plan {
 }
 
 /// Where the latents of a clip lie.
-pub(super) fn latents_file(root: &Path, clip: &str) -> PathBuf {
+pub(super) fn latents_file(root: &Path, clip: &ClipId) -> PathBuf {
     root.join(format!("{clip}.safetensors"))
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use rogs_schemas::protocol::Job;
+use rogs_schemas::protocol::{Job, JobId};
 use rogs_schemas::{CacheKey, KeyMaterial, canonical_json};
 use serde_json::Value;
 
@@ -46,7 +46,7 @@ impl Plan {
 
     /// The job of a unit. `keys` are those of its clip, see [`Plan::keys`].
     #[must_use]
-    pub fn job(&self, number: u64, unit: WorkUnit, keys: &[UnitKey]) -> Job {
+    pub fn job(&self, number: JobId, unit: WorkUnit, keys: &[UnitKey]) -> Job {
         let (clip, node) = (&self.clips[unit.clip], &self.nodes[unit.node]);
         let path = |input: &NodeInput| match &input.from {
             InputSource::Episode => Some(self.roots[clip.root as usize].clone()),

@@ -12,7 +12,7 @@ use std::process::{Command, Stdio};
 use rogs_geometry::{Base, Camera, Pose};
 use rogs_r4c::{Record, read_record, write_record};
 use rogs_schemas::key::{KeyMaterial, Provenance};
-use rogs_schemas::protocol::Job;
+use rogs_schemas::protocol::{Job, JobId};
 use rogs_schemas::records::clip::{
     CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, SourceView, Tracks,
 };
@@ -289,7 +289,7 @@ impl Bench {
         let params = serde_json::to_value(filled).unwrap();
         let material = material("score", Scores::SCHEMA.to_string(), &params, self.keys.clone());
         let job = Job {
-            job: 1,
+            job: JobId(1),
             clip_id: "wall".parse().unwrap(),
             inputs: self.inputs.clone(),
             output: output.clone(),

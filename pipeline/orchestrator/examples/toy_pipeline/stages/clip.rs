@@ -12,7 +12,7 @@ use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewCondit
 use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps, RobotSpec};
 use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex, SchemaId};
-use rogs_schemas::{ClipId, Intrinsics, RigidPose};
+use rogs_schemas::{Intrinsics, RigidPose};
 use rogs_worker::{Context, Stage, StageError, StageResult};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -94,7 +94,7 @@ impl Stage for Ingest {
             }),
         };
         let clip = Clip {
-            clip_id: ClipId::made_of(context.clip_id()),
+            clip_id: context.clip_id().clone(),
             episode_id: self.0.episode.clone(),
             layout: "toy".into(),
             task: text.clone(),
