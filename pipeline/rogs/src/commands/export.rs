@@ -11,6 +11,7 @@ use rogs_ingest::{Fit, Observations, Params, compose, read_clip};
 use rogs_orchestrator::plan::{Plan, WorkUnit, read_plan};
 use rogs_orchestrator::stage::StageId;
 use rogs_r4c::read_record;
+use rogs_schemas::protocol::JobId;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex};
@@ -121,7 +122,7 @@ fn export_clip(plan: &Plan, clip: usize, args: &RolloutInputs) -> anyhow::Result
         path.display()
     );
     let (maps, _) = read_record::<RobotMaps>(&path)?;
-    let job = plan.job(0, unit(ingest), &keys);
+    let job = plan.job(JobId(0), unit(ingest), &keys);
     let recorded = observed(
         &job.params,
         job.inputs.get("episode"),
