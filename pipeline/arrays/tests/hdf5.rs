@@ -1,5 +1,5 @@
 //! HDF5 files as h5py writes them, in the oldest and in the newest form of the format (`hdf5/make.py`).
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 
 use std::path::{Path, PathBuf};

@@ -19,9 +19,49 @@ pub(crate) enum FrameSource {
     Video {
         path: PathBuf,
         info: VideoInfo,
-        /// Frame of the file that is episode frame 0.
-        first: u64,
+        order: FrameOrder,
+        /// The part of every picture that is the camera's image; `None`: all of it.
+        part: Option<Part>,
     },
+}
+
+/// Which frame of a video file is which episode frame.
+#[derive(Debug, Clone)]
+pub(crate) enum FrameOrder {
+    /// Episode frame 0 is this frame of the file, and so on.
+    From(u64),
+    /// The frame of the file for every episode frame; never descending.
+    Listed(Vec<u64>),
+}
+
+impl FrameOrder {
+    fn frame(&self, frame: u32) -> Option<u64> {
+        match self {
+            Self::From(first) => Some(first + u64::from(frame)),
+            Self::Listed(frames) => frames.get(frame as usize).copied(),
+        }
+    }
+}
+
+/// A rectangle of a picture, pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Part {
+    pub(crate) left: u32,
+    pub(crate) top: u32,
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+}
+
+impl Part {
+    /// The part of a picture of this width. `[h, w, 3]`
+    pub(crate) fn of(self, picture: &[u8], width: u32) -> Vec<u8> {
+        let rows = picture.chunks_exact(3 * width as usize);
+        let rows = rows.skip(self.top as usize).take(self.height as usize);
+        let (from, to) = (3 * self.left as usize, 3 * (self.left + self.width) as usize);
+        rows.flat_map(|row| row.get(from..to).unwrap_or_default())
+            .copied()
+            .collect()
+    }
 }
 
 /// Extensions of video files.
@@ -56,7 +96,12 @@ impl FrameSource {
                 format!("it has {} frames, the episode {frame_count}", info.frames),
             ));
         }
-        Ok(Self::Video { path, info, first: 0 })
+        Ok(Self::Video {
+            path,
+            info,
+            order: FrameOrder::From(0),
+            part: None,
+        })
     }
 
     /// Hands the images of these episode frames, which are `step` apart, to `take` in order. `[h, w, 3]`
@@ -70,12 +115,14 @@ impl FrameSource {
             Self::Video {
                 path,
                 info,
-                first: offset,
+                order,
+                part,
             } => {
-                let range = (offset + u64::from(first), u64::from(step), u64::from(count));
-                let warning = video::decode(path, info, range, |_, frame| {
-                    take(frame);
-                    Ok(())
+                let wanted: Option<Vec<u64>> = (0..count).map(|index| order.frame(first + index * step)).collect();
+                let wanted = wanted.ok_or_else(|| wrong(path, "it has no frame for every frame of the episode"))?;
+                let warning = read_video(path, info, &wanted, |picture| match part {
+                    None => take(picture),
+                    Some(part) => take(&part.of(picture, info.width)),
                 })?;
                 let complaint = warning.map(|warning| format!("the decoder complained: {warning}"));
                 let told: Vec<String> = info.notes.iter().cloned().chain(complaint).collect();
@@ -89,6 +136,33 @@ impl FrameSource {
             }
         }
     }
+}
+
+/// Hands these frames of a video, which never descend, to `take` in order.
+fn read_video(
+    path: &Path,
+    info: &VideoInfo,
+    wanted: &[u64],
+    mut take: impl FnMut(&[u8]),
+) -> StageResult<Option<String>> {
+    let (Some(&first), Some(&last)) = (wanted.first(), wanted.last()) else {
+        return Ok(None);
+    };
+    let step = wanted.get(1).map_or(1, |second| second.saturating_sub(first));
+    if step > 0 && wanted.windows(2).all(|pair| pair[1] == pair[0] + step) {
+        return video::decode(path, info, (first, step, wanted.len() as u64), |_, frame| {
+            take(frame);
+            Ok(())
+        });
+    }
+    let (mut at, mut next) = (first, wanted.iter().peekable());
+    video::decode(path, info, (first, 1, last - first + 1), |_, frame| {
+        while next.next_if(|wanted| **wanted <= at).is_some() {
+            take(frame);
+        }
+        at += 1;
+        Ok(())
+    })
 }
 
 /// `000012.png`
@@ -150,4 +224,28 @@ fn open_png(path: &Path, size: (u32, u32)) -> StageResult<Png> {
     let png = Png::open(path).map_err(unreadable)?;
     check_size(path, (png.width, png.height), size)?;
     Ok(png)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_is_cut_out_of_every_row() {
+        let picture: Vec<u8> = (0..4 * 3 * 3).collect();
+        let part = Part {
+            left: 2,
+            top: 1,
+            width: 2,
+            height: 2,
+        };
+        assert_eq!(part.of(&picture, 4), [18, 19, 20, 21, 22, 23, 30, 31, 32, 33, 34, 35]);
+    }
+
+    #[test]
+    fn orders_name_the_frame_of_the_file() {
+        assert_eq!(FrameOrder::From(5).frame(3), Some(8));
+        let listed = FrameOrder::Listed(vec![0, 2, 2]);
+        assert_eq!((listed.frame(2), listed.frame(3)), (Some(2), None));
+    }
 }

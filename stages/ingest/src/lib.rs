@@ -1,6 +1,6 @@
 //! Ingest: episode folder of any supported layout to clip.
 //!
-//! A layout (own folder, DROID in the Ctrl-World form, LeRobot v2.1 and v3.0) describes and checks an episode without
+//! A layout (own folder, raw DROID, DROID in the Ctrl-World form, LeRobot v2.1 and v3.0) describes and checks an episode without
 //! decoding anything; then the frames of the clip are decoded, resized and written as a
 //! [`Clip`]. Whatever is wrong with an episode is one error that names file and row.
 //!
@@ -35,6 +35,7 @@ use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::Clip;
 use rogs_worker::{Context, Stage, StageError, StageResult};
 
+pub use crate::params::{DroidParams, IdleSteps};
 pub use listing::{EpisodeListing, list_episodes};
 pub use media::{MediaReport, media_report};
 pub use params::{
@@ -60,7 +61,7 @@ impl Stage for Ingest {
     fn inputs() -> Vec<InputDescription> {
         vec![
             InputDescription::required("episode", "folder"),
-            InputDescription::optional("calibration", "file"),
+            InputDescription::optional("calibration", "file or folder"),
             InputDescription::optional(pointworld::ROLES[0], "file"),
             InputDescription::optional(pointworld::ROLES[1], "file"),
             InputDescription::optional(pointworld::ROLES[2], "file"),

@@ -7,7 +7,7 @@ use rogs_worker::{StageError, StageResult};
 use serde::Serialize;
 
 use crate::fault::io_error;
-use crate::layouts::{Layout, LerobotEpisode, ctrlworld, detect, lerobot_dataset, rogs_episode};
+use crate::layouts::{KNOWN, Layout, LerobotEpisode, ctrlworld, detect, droid, lerobot_dataset, rogs_episode};
 
 /// One episode that can be ingested.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -28,7 +28,7 @@ pub struct EpisodeListing {
     pub files: Vec<String>,
 }
 
-/// The episodes of a folder: the folder itself in any layout, or the folders right below it.
+/// The episodes of a folder: the folder itself in any layout, the folders right below it, or a tree of raw DROID.
 ///
 /// # Errors
 /// When the folder or the description of a data set cannot be read. One episode that is damaged is listed with the files
@@ -55,26 +55,19 @@ pub fn list_episodes(root: &Path) -> StageResult<Vec<EpisodeListing>> {
         }
     }
     if found.is_empty() {
-        return Err(StageError::bad_input(format!("`{}` holds no episode of a known layout", root.display())).with_hint(
-            "expected `episode.json` (docs/episode-format.md), `annotation/` and `videos/` (DROID, Ctrl-World), or `meta/info.json` (LeRobot)",
-        ));
+        found = list_droid(root, "")?;
+    }
+    if found.is_empty() {
+        return Err(droid::refusal(root).unwrap_or_else(|| {
+            StageError::bad_input(format!("`{}` holds no episode of a known layout", root.display())).with_hint(KNOWN)
+        }));
     }
     Ok(found)
 }
 
 fn list(folder: &Path, relative: &str, layout: Layout) -> StageResult<Vec<EpisodeListing>> {
-    let listing = |episode_id: String, layout: &str, selector: String, frames: Option<u64>, mut files: Vec<String>| {
-        files.sort();
-        files.dedup();
-        EpisodeListing {
-            name: safe_name(&episode_id),
-            episode_id,
-            layout: layout.to_owned(),
-            folder: relative.to_owned(),
-            selector,
-            frames,
-            files,
-        }
+    let listing = |episode_id: String, layout: &str, selector: String, frames: Option<u64>, files: Vec<String>| {
+        listed(episode_id, layout, (relative.to_owned(), selector), frames, files)
     };
     match layout {
         Layout::RogsEpisode => {
@@ -105,6 +98,7 @@ fn list(folder: &Path, relative: &str, layout: Layout) -> StageResult<Vec<Episod
             };
             Ok(ctrlworld::selectors(folder)?.into_iter().map(one).collect())
         }
+        Layout::DroidRaw => list_droid(folder, relative),
         Layout::Lerobot => {
             let dataset = lerobot_dataset(folder)?;
             let one = |episode: LerobotEpisode| {
@@ -114,6 +108,44 @@ fn list(folder: &Path, relative: &str, layout: Layout) -> StageResult<Vec<Episod
             Ok(dataset.episodes.into_iter().map(one).collect())
         }
     }
+}
+
+/// An entry of the list.
+fn listed(
+    episode_id: String,
+    layout: &str,
+    (folder, selector): (String, String),
+    frames: Option<u64>,
+    mut files: Vec<String>,
+) -> EpisodeListing {
+    files.sort();
+    files.dedup();
+    EpisodeListing {
+        name: safe_name(&episode_id),
+        episode_id,
+        layout: layout.to_owned(),
+        folder,
+        selector,
+        frames,
+        files,
+    }
+}
+
+/// Raw DROID episodes in a folder or tree that is at `relative`.
+fn list_droid(folder: &Path, relative: &str) -> StageResult<Vec<EpisodeListing>> {
+    let place = |found: &str| match (relative, found) {
+        ("" | ".", "") => ".".to_owned(),
+        ("" | ".", found) => found.to_owned(),
+        (before, "") => before.to_owned(),
+        (before, found) => format!("{before}/{found}"),
+    };
+    let found = droid::episodes(folder)?.into_iter();
+    Ok(found
+        .map(|found| {
+            let folder = place(&found.folder);
+            listed(found.id, droid::LAYOUT, (folder, String::new()), None, found.files)
+        })
+        .collect())
 }
 
 /// Every file below a folder but strays, relative; links are followed.

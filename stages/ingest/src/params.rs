@@ -39,6 +39,9 @@ pub struct Params {
     /// Which cameras of the episode become which cameras of the clip, in this order (wrist first). Empty: all that the
     /// layout names.
     pub cameras: Vec<CameraChoice>,
+    /// Of raw DROID episodes.
+    #[serde(skip_serializing_if = "is_default")]
+    pub droid: DroidParams,
     /// Depths outside this open interval are not scored, metres. `null`: what the episode says.
     pub depth_range_m: Option<[f32; 2]>,
     /// Where joint and gripper states are, for layouts that do not say.
@@ -127,6 +130,7 @@ impl Default for Params {
             width: 280,
             fit: Fit::Cover,
             cameras: Vec::new(),
+            droid: DroidParams::default(),
             depth_range_m: None,
             states: StateColumns::default(),
             pointworld: PointWorldParams::default(),
@@ -147,6 +151,8 @@ pub enum LayoutChoice {
     RogsEpisode,
     /// DROID as Ctrl-World keeps it: `annotation/` and `videos/`.
     DroidCtrlworld,
+    /// DROID as it was released: `metadata_*.json`, `trajectory.h5` and `recordings/` (`docs/droid.md`).
+    DroidRaw,
     /// LeRobot v2.1 or v3.0.
     Lerobot,
 }
@@ -268,6 +274,28 @@ impl Default for PointWorldParams {
     }
 }
 
+/// How raw DROID episodes are taken.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct DroidParams {
+    /// Link of the URDF that is the flange, which carries the wrist camera.
+    pub flange_link: String,
+    /// What becomes of steps in which nobody moved the robot.
+    pub idle: IdleSteps,
+    /// Take the right eyes out of the stereo videos, as evaluation cameras.
+    pub right_eyes: bool,
+}
+
+impl Default for DroidParams {
+    fn default() -> Self {
+        Self {
+            flange_link: "panda_link8".to_owned(),
+            idle: IdleSteps::Keep,
+            right_eyes: true,
+        }
+    }
+}
+
 impl PointWorldParams {
     /// Checks the numbers.
     fn check(&self) -> StageResult<()> {
@@ -279,6 +307,21 @@ impl PointWorldParams {
             "`pointworld.max_loss` and `pointworld.tolerance_ms` must be above 0",
         ))
     }
+}
+
+/// Idle steps of a raw DROID episode: `movement_enabled` is false, or `skip_action` is set.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum IdleSteps {
+    /// They stay: frames are even in time.
+    #[default]
+    Keep,
+    /// Their images and states are left out, as most loaders do.
+    Drop,
+}
+
+fn is_default(droid: &DroidParams) -> bool {
+    *droid == DroidParams::default()
 }
 
 /// A selector that is all digits may come as a number.

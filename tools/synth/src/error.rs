@@ -42,6 +42,17 @@ pub enum Error {
     /// A description could not be written as JSON.
     #[error("cannot write a description as JSON")]
     Json(#[source] serde_json::Error),
+    /// An HDF5 file could not be put together.
+    #[error("cannot write an HDF5 file")]
+    Hdf5(#[source] hdf5_writer::Error),
+    /// A program that packs videos failed or is not there.
+    #[error("the program `{program}` failed: {why} (`rogs doctor` looks for it)")]
+    Program {
+        /// Its name.
+        program: &'static str,
+        /// What it said.
+        why: String,
+    },
     /// No motion was found that the arm can follow.
     #[error("seed `{seed}`: no motion found that the arm can follow after {attempts} attempts (use another seed)")]
     NoMotion {
@@ -58,6 +69,14 @@ impl Error {
             path: path.to_owned(),
             source,
         }
+    }
+
+    pub(crate) fn hdf5(source: hdf5_writer::Error) -> Self {
+        Self::Hdf5(source)
+    }
+
+    pub(crate) fn program(program: &'static str, why: String) -> Self {
+        Self::Program { program, why }
     }
 
     pub(crate) fn json(source: serde_json::Error) -> Self {

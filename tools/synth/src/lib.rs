@@ -23,6 +23,7 @@
 
 mod cameras;
 mod config;
+mod droid;
 mod episode;
 mod error;
 mod frame;
@@ -44,6 +45,9 @@ pub use cameras::{
     ZED_MINI_BASELINE, ZED2_BASELINE, nominal_hand_eye,
 };
 pub use config::SynthConfig;
+pub use droid::{
+    DROID_CALIBRATION_FOLDER, DROID_FOLDER, DroidEpisode, Peculiar, droid_config, droid_robot, write_droid,
+};
 pub use episode::{Episode, Frame, generate_episode};
 pub use error::{Error, Result};
 pub use frame::BodyFrame;

@@ -145,7 +145,7 @@ fn holds(place: &Path, seed: u64, config: &SynthConfig) -> Result<bool> {
     }
 }
 
-fn pretty(value: &impl Serialize) -> Result<Vec<u8>> {
+pub(crate) fn pretty(value: &impl Serialize) -> Result<Vec<u8>> {
     let mut text = serde_json::to_vec_pretty(value).map_err(Error::json)?;
     text.push(b'\n');
     Ok(text)

@@ -64,7 +64,7 @@ impl<'a> Hdf5Dataset<'a> {
     /// # Errors
     /// When the data are damaged, cut off, packed by an unknown filter, of another type, or larger than the file can hold.
     pub fn read<T: Hdf5Element>(&self) -> Result<Vec<T>> {
-        self.bound::<T>(1, self.shape.iter().copied())?;
+        self.bound(1, self.shape.iter().copied())?;
         let array = self.inner.read_array::<Cell<T>>().map_err(|error| self.failed(error))?;
         Ok(array.into_iter().map(|cell| cell.0).collect())
     }
@@ -83,7 +83,7 @@ impl<'a> Hdf5Dataset<'a> {
         if rows.is_empty() {
             return Ok(Vec::new());
         }
-        self.bound::<T>(rows.len(), rest.iter().copied())?;
+        self.bound(rows.len(), rest.iter().copied())?;
         let slice = |start: usize, end: usize| SliceInfoElem::Slice {
             start: start as u64,
             end: end as u64,
@@ -160,7 +160,7 @@ impl<'a> Hdf5Dataset<'a> {
     }
 
     /// Refuses a read that the file cannot hold.
-    fn bound<T: Hdf5Element>(&self, rows: usize, rest: impl Iterator<Item = usize>) -> Result<()> {
+    fn bound(&self, rows: usize, rest: impl Iterator<Item = usize>) -> Result<()> {
         let stored = Stored::of(self.inner.dtype()).ok_or_else(|| self.wrong("its values are no numbers"))?;
         let count = rest.fold(rows, usize::saturating_mul);
         let bytes = count.saturating_mul(stored.dtype.size());

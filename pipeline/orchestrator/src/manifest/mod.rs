@@ -110,7 +110,7 @@ pub struct Run {
 pub struct Input {
     /// The folder.
     pub root: PathBuf,
-    /// Take only episodes of this layout (`rogs-episode`, `droid-ctrlworld`, `lerobot-v2.1`, `lerobot-v3.0`).
+    /// Take only episodes of this layout (`rogs-episode`, `droid-raw`, `droid-ctrlworld`, `lerobot-v2.1`, `lerobot-v3.0`).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub layout: Option<String>,
     /// Take only episodes whose id matches one of these patterns (`*`, `?`); default all.

@@ -529,7 +529,7 @@ fn predictions(plan: &Plan, id: &ClipId, sources: &SourceCache) -> Result<Vec<Op
 }
 
 fn calibration(plan: &mut Plan, path: &Path, at: At<'_>, text: &Text, sources: &SourceCache) -> Result<u32> {
-    if !path.is_file() {
+    if !path.exists() {
         let error = text.error(at, format!("calibration file `{}` is not there", shown(path)));
         return Err(error.with_hint(path_hint(path)));
     }

@@ -12,7 +12,7 @@ use super::calibration_names;
 use crate::calibration::Calibration;
 use crate::checks;
 use crate::fault::{inside, io_error, read_text, wrong};
-use crate::images::FrameSource;
+use crate::images::{FrameOrder, FrameSource};
 use crate::media::VideoInfo;
 use crate::source::{Source, SourceCamera, States};
 use crate::video;
@@ -222,7 +222,8 @@ fn camera(
         images: Some(FrameSource::Video {
             path: file,
             info,
-            first: 0,
+            order: FrameOrder::From(0),
+            part: None,
         }),
         times_ms: None,
         depth: None,

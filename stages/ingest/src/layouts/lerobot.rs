@@ -11,7 +11,7 @@ use super::{calibration_names, clip_camera};
 use crate::calibration::Calibration;
 use crate::checks;
 use crate::fault::{inside, wrong};
-use crate::images::FrameSource;
+use crate::images::{FrameOrder, FrameSource};
 use crate::params::{Params, StateColumns};
 use crate::source::{Source, SourceCamera, SourceMount, States};
 use crate::video;
@@ -145,7 +145,12 @@ fn open_camera(
         intrinsics: calibrated.intrinsics,
         pixel_shift: 0.5,
         mount,
-        images: Some(FrameSource::Video { path, info, first }),
+        images: Some(FrameSource::Video {
+            path,
+            info,
+            order: FrameOrder::From(first),
+            part: None,
+        }),
         times_ms: None,
         depth: None,
     })

@@ -1,6 +1,7 @@
 //! The layouts of episode folders, and telling them apart.
 
 pub(crate) mod ctrlworld;
+pub(crate) mod droid;
 pub(crate) mod lerobot;
 mod lerobot_episodes;
 mod lerobot_meta;
@@ -23,8 +24,13 @@ use crate::source::Source;
 pub(crate) enum Layout {
     RogsEpisode,
     DroidCtrlworld,
+    DroidRaw,
     Lerobot,
 }
+
+/// What is looked for, for those who gave a folder that holds none of it.
+pub(crate) const KNOWN: &str = "expected `episode.json` (docs/episode-format.md), `annotation/` and `videos/` (DROID, \
+    Ctrl-World), `trajectory.h5` or a tree LAB/success/DATE/TIME (raw DROID, docs/droid.md), or `meta/info.json` (LeRobot)";
 
 /// The layout of a folder, told by the files in it.
 pub(crate) fn detect(root: &Path) -> Option<Layout> {
@@ -34,6 +40,8 @@ pub(crate) fn detect(root: &Path) -> Option<Layout> {
         Some(Layout::Lerobot)
     } else if root.join("annotation").is_dir() {
         Some(Layout::DroidCtrlworld)
+    } else if droid::is_episode(root) {
+        Some(Layout::DroidRaw)
     } else {
         None
     }
@@ -49,19 +57,31 @@ pub(crate) fn open(root: &Path, calibration: Option<&Path>, params: &Params) -> 
     }
     let layout = match params.layout {
         LayoutChoice::Auto => detect(root).ok_or_else(|| {
-            StageError::bad_input(format!("not an episode folder of a known layout: `{}`", root.display())).with_hint(
-                "expected `episode.json` (docs/episode-format.md), `annotation/` and `videos/` (DROID, Ctrl-World), or `meta/info.json` (LeRobot)",
-            )
+            droid::refusal(root).unwrap_or_else(|| {
+                StageError::bad_input(format!("not an episode folder of a known layout: `{}`", root.display()))
+                    .with_hint(KNOWN)
+            })
         })?,
         LayoutChoice::RogsEpisode => Layout::RogsEpisode,
         LayoutChoice::DroidCtrlworld => Layout::DroidCtrlworld,
+        LayoutChoice::DroidRaw => Layout::DroidRaw,
         LayoutChoice::Lerobot => Layout::Lerobot,
     };
-    let calibration = calibration.map(Calibration::read).transpose()?;
+    let file = || -> StageResult<Option<Calibration>> {
+        if let Some(folder) = calibration.filter(|path| path.is_dir()) {
+            let text = format!(
+                "the calibration `{}` is a folder: only raw DROID takes one",
+                folder.display()
+            );
+            return Err(StageError::bad_input(text).with_hint("docs/calibration-format.md shows the file"));
+        }
+        calibration.map(Calibration::read).transpose()
+    };
     match layout {
-        Layout::RogsEpisode => rogs_episode::open(root, calibration.as_ref(), &params.states),
-        Layout::DroidCtrlworld => ctrlworld::open(root, calibration, &params.episode),
-        Layout::Lerobot => lerobot::open(root, calibration.as_ref(), params),
+        Layout::RogsEpisode => rogs_episode::open(root, file()?.as_ref(), &params.states),
+        Layout::DroidCtrlworld => ctrlworld::open(root, file()?, &params.episode),
+        Layout::DroidRaw => droid::open(root, calibration, params),
+        Layout::Lerobot => lerobot::open(root, file()?.as_ref(), params),
     }
 }
 
