@@ -130,7 +130,7 @@ fn check_images(clip: &Clip, episode: &DroidEpisode) {
             .iter()
             .position(|name| *name == camera.id)
             .unwrap();
-        let rgb = camera.rgb.as_ref().unwrap();
+        let rgb = camera.recorded.as_ref().unwrap();
         for row in [0, 8, 16] {
             let truth = &episode
                 .truth
@@ -202,7 +202,7 @@ fn clip_of(clip: &Clip, frames: usize) -> Clip {
     for row in frames..17 {
         clip.episode_frames.push(clip.episode_frames[row - 1]);
         for camera in &mut clip.cameras {
-            let rgb = camera.rgb.as_mut().unwrap();
+            let rgb = camera.recorded.as_mut().unwrap();
             rgb.extend_from_within((row - 1) * size..row * size);
         }
     }
@@ -323,7 +323,7 @@ fn late_states_missing_images_and_idle_steps_are_handled() {
     // Frames 3 and 4 are gone: frame 3 of the episode is image 5 with its state.
     assert_eq!(clip.robot.positions[7 * 3..7 * 4], late.truth.states[5].joints);
     let size = (HEIGHT * WIDTH * 3) as usize;
-    let image = &clip.cameras[0].rgb.as_ref().unwrap()[3 * size..4 * size];
+    let image = &clip.cameras[0].recorded.as_ref().unwrap()[3 * size..4 * size];
     let error = |frame: usize| {
         let truth = &late.truth.render_cameras(frame, &[0])[0].rgb;
         image
