@@ -8,7 +8,7 @@ use rogs_worker::{StageError, StageResult};
 
 use super::grid::{Rect, composite, replay};
 use crate::fault::{io_error, unreadable, wrong};
-use crate::images::{FrameSource, is_video};
+use crate::images::{FrameOrder, FrameSource, is_video};
 use crate::layouts::clip_camera;
 use crate::params::{RolloutLayout, RolloutParams};
 use crate::source::SourceCamera;
@@ -166,7 +166,8 @@ impl Footage {
                 images: FrameSource::Video {
                     path: path.to_owned(),
                     info,
-                    first: 0,
+                    order: FrameOrder::From(0),
+                    part: None,
                 },
                 views: Vec::new(),
             });

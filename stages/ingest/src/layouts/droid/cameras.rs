@@ -196,6 +196,7 @@ impl<'a> Builder<'a> {
         };
         let mut left = source(id, camera.eyes.size, intrinsics, mount, &camera.eyes.left, &frames);
         left.times_ms = times_ms;
+        left.serial = Some(serial.clone());
         Ok(Some((left, right)))
     }
 
@@ -266,6 +267,7 @@ fn source(
 ) -> SourceCamera {
     SourceCamera {
         id: id.to_owned(),
+        serial: None,
         role: CameraRole::Source,
         partner: None,
         width,
