@@ -9,8 +9,8 @@ use std::time::Instant;
 use rogs_geometry::{Camera, Pose};
 use rogs_ingest::{DroidParams, IdleSteps, Params, QueryChoice, QueryPlanName, list_episodes, read_clip};
 use rogs_needs::needs;
-use rogs_schemas::RigidPose;
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip};
+use rogs_schemas::{CameraIndex, FrameIndex, RigidPose};
 use rogs_synth::{
     BodyFrame, DROID_CALIBRATION_FOLDER, DROID_FOLDER, DroidEpisode, Mount, Peculiar, droid_config, write_droid,
 };
@@ -116,7 +116,7 @@ fn check_geometry(clip: &Clip, episode: &DroidEpisode) {
         );
     }
     for (row, &frame) in clip.episode_frames.iter().enumerate() {
-        let state = &episode.truth.states[frame as usize];
+        let state = &episode.truth.states[frame.0 as usize];
         assert_eq!(clip.robot.positions[7 * row..7 * row + 7], state.joints);
         assert_eq!(clip.robot.gripper[row], state.gripper);
     }
@@ -134,7 +134,7 @@ fn check_images(clip: &Clip, episode: &DroidEpisode) {
         for row in [0, 8, 16] {
             let truth = &episode
                 .truth
-                .render_cameras(clip.episode_frames[row] as usize, &[index])[0]
+                .render_cameras(clip.episode_frames[row].0 as usize, &[index])[0]
                 .rgb;
             let image = &rgb[row * size..(row + 1) * size];
             // Colours are halved in the video, brightness is not: it is off by the quantiser alone.
@@ -164,7 +164,7 @@ fn a_whole_episode_is_exact() {
         let expected = if index < 3 {
             (CameraRole::Source, None)
         } else {
-            (CameraRole::Evaluation, Some(index as u32 - 3))
+            (CameraRole::Evaluation, Some(CameraIndex(index as u32 - 3)))
         };
         assert_eq!((camera.role, camera.partner), expected);
     }
@@ -186,11 +186,11 @@ fn a_whole_episode_is_exact() {
         &Params {
             start_frame: None,
             frames: 13,
-            source_frames: vec![0, 12],
+            source_frames: vec![FrameIndex(0), FrameIndex(12)],
             ..params()
         },
     );
-    assert_eq!(clip.episode_frames[0], 7);
+    assert_eq!(clip.episode_frames[0].0, 7);
     check_geometry(&clip, episode);
     check_images(&clip_of(&clip, 13), episode);
 }
