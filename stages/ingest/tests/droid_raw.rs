@@ -10,7 +10,7 @@ use rogs_geometry::{Camera, Pose};
 use rogs_ingest::{DroidParams, IdleSteps, Params, QueryChoice, QueryPlanName, list_episodes, read_clip};
 use rogs_needs::needs;
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip};
-use rogs_schemas::{CameraIndex, FrameIndex, RigidPose};
+use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex, RigidPose};
 use rogs_synth::{
     BodyFrame, DROID_CALIBRATION_FOLDER, DROID_FOLDER, DroidEpisode, Mount, Peculiar, droid_config, write_droid,
 };
@@ -54,7 +54,7 @@ fn episode(peculiar: Peculiar) -> &'static DroidEpisode {
 /// The whole episode at the recorded size.
 fn params() -> Params {
     Params {
-        start_frame: Some(0),
+        start_frame: Some(EpisodeFrame(0)),
         query: QueryChoice::Plan(QueryPlanName::All),
         height: HEIGHT,
         width: WIDTH,
