@@ -286,22 +286,19 @@ fn states(trajectory: &Trajectory, rows: &[usize], params: &Params, warnings: &m
             )));
         }
     };
-    let mut outside = 0;
-    let mut gripper = |row: usize| {
-        let value = trajectory.gripper[row];
-        let value = if columns.invert_gripper { 1.0 - value } else { value };
-        if (-GRIPPER_TOLERANCE..=1.0 + GRIPPER_TOLERANCE).contains(&value) {
-            outside += usize::from(!(-1e-6..=1.0 + 1e-6).contains(&value));
-            value.clamp(0.0, 1.0)
-        } else {
-            value
-        }
-    };
-    let states = States {
+    let mut states = States {
         joint_names: names,
         positions: rows.iter().flat_map(|&row| trajectory.joints[row]).collect(),
-        gripper: rows.iter().map(|&row| gripper(row)).collect(),
+        gripper: rows.iter().map(|&row| trajectory.gripper[row]).collect(),
     };
+    columns.convert(&mut states);
+    let mut outside = 0;
+    for value in &mut states.gripper {
+        if (-GRIPPER_TOLERANCE..=1.0 + GRIPPER_TOLERANCE).contains(value) {
+            outside += usize::from(!(-1e-6..=1.0 + 1e-6).contains(value));
+            *value = value.clamp(0.0, 1.0);
+        }
+    }
     if outside > 0 {
         warnings.push(format!(
             "the gripper is up to {GRIPPER_TOLERANCE} outside 0 to 1 at {outside} of {} frames: set to the nearest end",
