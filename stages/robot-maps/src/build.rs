@@ -243,6 +243,8 @@ fn draw(
 fn depth_warnings(clip: &Clip, maps: &[RobotMap]) -> Vec<String> {
     /// Fewer pixels tell nothing.
     const ENOUGH: usize = 20;
+    /// No calibration that draws the robot at all is off by this ratio of depths.
+    const BEYOND: f64 = 1.5;
     let pixels = clip.height as usize * clip.width as usize;
     let warning = |index: CameraIndex| {
         let camera = &clip.cameras[index.at()];
@@ -262,13 +264,15 @@ fn depth_warnings(clip: &Clip, maps: &[RobotMap]) -> Vec<String> {
         }
         let middle = ratios.len() / 2;
         let (_, &mut median, _) = ratios.select_nth_unstable_by(middle, f64::total_cmp);
-        let found = unit_factor(median)?;
+        // What hides the robot is nearer than it; beyond its surface the camera cannot see it.
+        let known = unit_factor(median).map(|found| found.meaning);
+        let meaning = known.or((median > BEYOND).then_some("is their unit another, or the camera's pose wrong"))?;
         Some(format!(
             "camera `{}`: its reference depth of the robot is {median:.4} times that of the robot's mesh (median of {} \
              pixels): {}? `unit_m` beside the depth's `path` states its unit",
             camera.id,
             ratios.len(),
-            found.meaning
+            meaning
         ))
     };
     clip.source_cameras().into_iter().filter_map(warning).collect()

@@ -287,6 +287,8 @@ fn reference_depth_in_another_unit_is_told_by_its_factor() {
         (5.0, Some("5000 steps a metre")),
         (10.0, Some("10000 steps a metre")),
         (100.0, Some("centimetres")),
+        (0.5, None),
+        (3.5, Some("is their unit another")),
     ] {
         let mut clip = clip();
         // The front camera's maps, each pixel as many times too far; nothing is known beside the robot.
