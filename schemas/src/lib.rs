@@ -33,6 +33,7 @@ pub mod pose;
 pub mod protocol;
 pub mod records;
 pub mod selection;
+pub mod shown;
 pub mod units;
 
 pub use device::Device;

@@ -13,6 +13,12 @@ use crate::key::{CacheKey, KeyMaterial};
 #[serde(transparent)]
 pub struct JobId(pub u64);
 
+/// Most threads of a worker; more than any machine has, and few enough to be started in a moment.
+pub const MOST_THREADS: usize = 4096;
+
+/// Longest grace of a worker, seconds: a day.
+pub const LONGEST_GRACE: f64 = 86_400.0;
+
 /// One unit of work: one stage on one clip.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Job {

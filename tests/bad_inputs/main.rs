@@ -5,13 +5,17 @@
 #[path = "../support/mod.rs"]
 mod support;
 
+mod bounds;
 mod cameras;
 mod cases;
 mod environments;
 mod files;
 mod images;
 mod manifests;
+mod names;
+mod places;
 mod reports;
 mod robots;
 mod states;
+mod streams;
 mod videos;

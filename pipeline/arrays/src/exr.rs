@@ -13,9 +13,10 @@ use exr::prelude::{
     ReadLayers as _, WritableImage as _, read,
 };
 
+use crate::budget::within_budget;
 use crate::error::{Error, Result};
 
-/// Longest file, and most memory that the pixels of one may take, bytes.
+/// Longest file, bytes.
 const MAX_BYTES: u64 = 1 << 30;
 /// Largest side, pixels.
 const MAX_SIDE: usize = 1 << 15;
@@ -46,7 +47,7 @@ impl FlatExr {
     /// When the file cannot be read, or is not a flat image within the bounds.
     pub fn open(path: &Path) -> Result<Self> {
         let io = |error| Error::io(path, error);
-        let mut file = File::open(path).map_err(io)?;
+        let mut file = rogs_files::open(path).map_err(io)?;
         let length = file.metadata().map_err(io)?.len();
         if length > MAX_BYTES {
             let what = format!("{length} bytes are more than the {MAX_BYTES} that an image may have");
@@ -62,6 +63,10 @@ impl FlatExr {
             ));
         };
         check(header).map_err(|what| Error::wrong(path, what))?;
+        // All channels, and those that are wanted in two forms.
+        let (width, height) = (header.layer_size.0 as u64, header.layer_size.1 as u64);
+        let a_pixel = 4 * header.channels.list.len() as u64 + 24;
+        within_budget(path, length, width * height * a_pixel, "is it an image?")?;
         file.rewind().map_err(io)?;
         let display = header.shared_attributes.display_window;
         Ok(Self {
@@ -132,9 +137,6 @@ fn check(header: &Header) -> std::result::Result<(), String> {
             "it is {height}x{width} pixels of {} channels; at most {MAX_SIDE} a side and {MAX_CHANNELS} are read",
             list.len()
         ));
-    }
-    if (width * height * list.len()) as u64 > MAX_BYTES / 4 {
-        return Err("its pixels take more than 1 GiB".into());
     }
     if let BlockDescription::Tiles(tiles) = header.blocks
         && (tiles.tile_size.0 > MAX_TILE || tiles.tile_size.1 > MAX_TILE)

@@ -8,8 +8,9 @@
 //! | OpenEXR, one flat part | [`FlatExr`] | [`write_exr`] |
 //! | PNG | [`Png`] | [`write_png`] |
 //!
-//! Readers meet files of strangers: what a header announces is compared with the length of the file, and with fixed
-//! limits, before anything is allocated for it. Files are written whole or not at all ([`rogs_files`]). What the values
+//! Readers meet files of strangers: what a header announces is compared with the length of the file (no file takes more
+//! memory than its [`budget`]), and with fixed limits, before anything is allocated for it. What is no file - a pipe, a
+//! device - is not read. Files are written whole or not at all ([`rogs_files`]). What the values
 //! mean (units, frames) is the caller's business.
 //!
 //! ```
@@ -26,6 +27,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod budget;
 mod dtype;
 mod error;
 mod exr;
@@ -37,6 +39,7 @@ mod png;
 mod shape;
 mod zip;
 
+pub use budget::{budget, within_budget};
 pub use dtype::{Dtype, Scalar, Values, le_bytes};
 pub use error::{Error, Problem, Result};
 pub use exr::{FlatExr, write_exr};

@@ -2,6 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use std::collections::BTreeMap;
+use std::ops::Range;
+
 use safetensors::SafeTensors;
 
 use crate::dtype::{Dtype, Values};
@@ -11,6 +14,9 @@ use crate::{npy, shape};
 
 /// Largest safetensors file that is read, bytes.
 const MAX_FILE: u64 = 1 << 34;
+
+/// Names of a file that a message lists, at most.
+const MOST_NAMES: usize = 40;
 
 /// An array of numbers, row-major.
 #[derive(Debug, Clone, PartialEq)]
@@ -64,7 +70,36 @@ pub struct ArrayFile {
 #[derive(Debug)]
 enum Content {
     Npz(Zip),
-    Safetensors(Vec<u8>),
+    Safetensors {
+        bytes: Vec<u8>,
+        /// What the header says, gone through once however many arrays there are.
+        tensors: BTreeMap<String, Tensor>,
+    },
+}
+
+/// Where an array lies in a safetensors file.
+#[derive(Debug)]
+struct Tensor {
+    dtype: safetensors::Dtype,
+    shape: Vec<usize>,
+    data: Range<usize>,
+}
+
+/// The arrays of a safetensors file.
+fn tensors(bytes: &[u8]) -> std::result::Result<BTreeMap<String, Tensor>, safetensors::SafeTensorError> {
+    let (header, metadata) = SafeTensors::read_metadata(bytes)?;
+    // The length of the header stands before it, in eight bytes.
+    let begin = header + 8;
+    let tensors = metadata.tensors().into_iter().map(|(name, info)| {
+        let (from, to) = info.data_offsets;
+        let tensor = Tensor {
+            dtype: info.dtype,
+            shape: info.shape.clone(),
+            data: begin + from..begin + to,
+        };
+        (name, tensor)
+    });
+    Ok(tensors.collect())
 }
 
 impl ArrayFile {
@@ -78,9 +113,11 @@ impl ArrayFile {
             if length > MAX_FILE {
                 return Err(Error::wrong(path, "it is larger than 16 GiB"));
             }
-            let bytes = std::fs::read(path).map_err(|error| Error::io(path, error))?;
+            let bytes = rogs_files::read(path).map_err(|error| Error::io(path, error))?;
+            // The whole file is checked: what the header says covers it, without a gap.
             SafeTensors::deserialize(&bytes).map_err(|error| Error::wrong(path, error.to_string()))?;
-            Content::Safetensors(bytes)
+            let tensors = tensors(&bytes).map_err(|error| Error::wrong(path, error.to_string()))?;
+            Content::Safetensors { bytes, tensors }
         } else {
             Content::Npz(Zip::open(path)?)
         };
@@ -99,18 +136,15 @@ impl ArrayFile {
     /// Names of the arrays, ascending.
     #[must_use]
     pub fn names(&self) -> Vec<String> {
-        let mut names: Vec<String> = match &self.content {
-            Content::Npz(zip) => zip
-                .names()
-                .filter_map(|name| name.strip_suffix(".npy"))
-                .map(String::from)
-                .collect(),
-            Content::Safetensors(bytes) => SafeTensors::deserialize(bytes)
-                .map(|file| file.names().into_iter().map(String::from).collect())
-                .unwrap_or_default(),
-        };
-        names.sort();
-        names
+        match &self.content {
+            Content::Npz(zip) => {
+                let names = zip.names().filter_map(|name| name.strip_suffix(".npy"));
+                let mut names: Vec<String> = names.map(String::from).collect();
+                names.sort();
+                names
+            }
+            Content::Safetensors { tensors, .. } => tensors.keys().cloned().collect(),
+        }
     }
 
     /// An array by the first of several names that is there.
@@ -132,10 +166,13 @@ impl ArrayFile {
     /// When it is not there, too.
     pub fn need(&self, names: &[&str]) -> Result<Array> {
         self.find(names)?.ok_or_else(|| {
+            let own = self.names();
+            let more = if own.len() > MOST_NAMES { ", ..." } else { "" };
+            let some: Vec<&str> = own.iter().take(MOST_NAMES).map(String::as_str).collect();
             let what = format!(
-                "it has no array `{}`; it has: {}",
+                "it has no array `{}`; it has: {}{more}",
                 names.join("` or `"),
-                self.names().join(", ")
+                some.join(", ")
             );
             Error::wrong(&self.path, what)
         })
@@ -151,11 +188,14 @@ impl ArrayFile {
                     (shape, dtype.values(data))
                 }
             },
-            Content::Safetensors(bytes) => {
-                let file = SafeTensors::deserialize(bytes).map_err(|error| wrong(error.to_string()))?;
-                let Ok(tensor) = file.tensor(name) else { return Ok(None) };
-                let dtype = Dtype::of_safetensors(tensor.dtype()).map_err(wrong)?;
-                (tensor.shape().to_vec(), dtype.values(tensor.data()))
+            Content::Safetensors { bytes, tensors } => {
+                let Some(tensor) = tensors.get(name) else {
+                    return Ok(None);
+                };
+                let dtype = Dtype::of_safetensors(tensor.dtype).map_err(wrong)?;
+                let data = bytes.get(tensor.data.clone());
+                let data = data.ok_or_else(|| wrong("it lies beyond the end of the file".to_owned()))?;
+                (tensor.shape.clone(), dtype.values(data))
             }
         };
         let name = name.to_owned();

@@ -38,7 +38,7 @@ impl NpyFile {
     pub fn open(path: &Path) -> Result<Self> {
         let io = |error| Error::io(path, error);
         let wrong = |what: String| Error::wrong(path, what);
-        let mut file = File::open(path).map_err(io)?;
+        let mut file = rogs_files::open(path).map_err(io)?;
         let length = file.metadata().map_err(io)?.len();
         let mut head = Vec::new();
         let read = |file: &mut File, head: &mut Vec<u8>, up_to: usize| {

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use image::codecs::png::{PngDecoder, PngEncoder};
 use image::{DynamicImage, ExtendedColorType, ImageDecoder as _, ImageEncoder as _, Limits};
 
+use crate::budget::within_budget;
 use crate::error::{Error, Result};
 
 /// Largest side, pixels.
@@ -29,7 +30,8 @@ impl Png {
     /// # Errors
     /// When the file cannot be read, is not a PNG, or is larger than 8192 pixels a side.
     pub fn open(path: &Path) -> Result<Self> {
-        let file = std::fs::File::open(path).map_err(|error| Error::io(path, error))?;
+        let file = rogs_files::open(path).map_err(|error| Error::io(path, error))?;
+        let length = file.metadata().map_err(|error| Error::io(path, error))?.len();
         let mut limits = Limits::default();
         limits.max_image_width = Some(MAX_SIDE);
         limits.max_image_height = Some(MAX_SIDE);
@@ -37,6 +39,8 @@ impl Png {
         let decoder =
             PngDecoder::with_limits(BufReader::new(file), limits).map_err(|error| unreadable(path, &error))?;
         let (width, height) = decoder.dimensions();
+        // The pixels, and a copy in another form.
+        within_budget(path, length, decoder.total_bytes().saturating_mul(2), "is it an image?")?;
         Ok(Self {
             path: path.to_owned(),
             decoder,

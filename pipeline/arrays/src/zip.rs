@@ -1,13 +1,14 @@
 //! The part of the ZIP format that `.npz` files use: stored and deflated members, ZIP64 sizes, checksums.
 //!
-//! Nothing is allocated beyond what the file's length, the member's declared size and [`MAX_MEMBER`] allow. Written
-//! archives are plainer: [`write_npz`](crate::write_npz).
+//! Nothing is allocated beyond what the file's length, its [`budget`](crate::budget), the member's declared size and
+//! [`MAX_MEMBER`] allow. Written archives are plainer: [`write_npz`](crate::write_npz).
 
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
 
+use crate::budget::within_budget;
 use crate::error::{Error, Result};
 
 /// Largest member that is read, bytes.
@@ -71,6 +72,11 @@ impl Zip {
         }
         let directory = zip.bytes(&mut file, at, size)?;
         zip.read_directory(&directory, count)?;
+        // Unpacked bytes, the numbers made of them, and the parts that those are cut into.
+        let unpacked = zip.members.values().map(|member| member.size);
+        let needed = unpacked.fold(0_u64, |sum, size| sum.saturating_add(size.saturating_mul(3)));
+        let hint = "save it with `numpy.savez` instead of `savez_compressed`, or in parts";
+        within_budget(path, zip.length, needed, hint)?;
         Ok(zip)
     }
 
@@ -138,7 +144,7 @@ impl Zip {
     }
 
     fn file(&self) -> Result<File> {
-        File::open(&self.path).map_err(|error| self.io(error))
+        rogs_files::open(&self.path).map_err(|error| self.io(error))
     }
 
     fn bytes(&self, file: &mut File, at: u64, length: u64) -> Result<Vec<u8>> {

@@ -6,13 +6,15 @@ use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result, io};
 use crate::fault_injection::{self, Operation};
+use crate::missing::or_missing;
+use crate::writer::temporaries;
 
 /// Capacity of the buffer in front of a file, bytes.
 pub(crate) const BUFFER_BYTES: usize = 1 << 18;
 
 /// Writes a file beside its place, flushes it to disk, renames it over `path` and flushes the folder.
 ///
-/// `fill` gets the open temporary file `.NAME.PID.tmp`; when it fails, or anything after it, the temporary file is
+/// `fill` gets the open temporary file `.NAME.PID.PLACE.tmp`; when it fails, or anything after it, the temporary file is
 /// removed and `path` is as it was.
 ///
 /// # Errors
@@ -38,7 +40,7 @@ pub fn try_write_with<E: From<Error>>(
         .and_then(|()| fill(&mut file))
         .and_then(|()| {
             finish(&mut file, path).map_err(io("writing", path))?;
-            Ok(rename(&temporary, path)?)
+            rename(&temporary, path).map_err(|error| E::from(taken_away(error, &temporary)))
         });
     if written.is_err() {
         // The first error is the one to report; a file that stays behind is swept later. When only the flush of the
@@ -73,7 +75,16 @@ fn finish(file: &mut BufWriter<File>, path: &Path) -> std::io::Result<()> {
     file.flush()?;
     half_of(file.get_ref(), path)?;
     fault_injection::at(Operation::Sync, path)?;
-    file.get_ref().sync_all()
+    or_missing(file.get_ref().sync_all())
+}
+
+/// The error of a rename whose temporary file is not there any more: a passing fault, as writing again will do.
+fn taken_away(error: Error, temporary: &Path) -> Error {
+    if error.source.kind() == ErrorKind::NotFound && !temporary.exists() {
+        let source = std::io::Error::other("something removed the temporary file while it was written");
+        return Error { source, ..error };
+    }
+    error
 }
 
 /// For tests: a write that ends half way.
@@ -84,8 +95,8 @@ fn half_of(file: &File, path: &Path) -> std::io::Result<()> {
     })
 }
 
-/// Makes something under the temporary name `.NAME.PID.tmp` (or `.NAME.PID-N.tmp`) beside `path`. `create` must fail
-/// when something has the name.
+/// Makes something under the temporary name `.NAME.PID.PLACE.tmp` (or `.NAME.PID-N.PLACE.tmp`) beside `path`. `create`
+/// must fail when something has the name.
 pub(crate) fn temporary_beside<T>(path: &Path, create: impl Fn(&Path) -> std::io::Result<T>) -> Result<(PathBuf, T)> {
     let name = path.file_name().ok_or_else(|| {
         io("writing", path)(std::io::Error::new(
@@ -93,16 +104,7 @@ pub(crate) fn temporary_beside<T>(path: &Path, create: impl Fn(&Path) -> std::io
             "the path does not end in a file name",
         ))
     })?;
-    let (folder, name) = (folder_of(path), name.to_string_lossy());
-    let process = std::process::id();
-    // A process that was killed may have had our number and left its file behind; another host may have it now.
-    for attempt in 0..1000 {
-        let suffix = if attempt == 0 {
-            String::new()
-        } else {
-            format!("-{attempt}")
-        };
-        let temporary = folder.join(format!(".{name}.{process}{suffix}.tmp"));
+    for temporary in temporaries(folder_of(path), &name.to_string_lossy()) {
         match fault_injection::at(Operation::Create, path).and_then(|()| create(&temporary)) {
             Ok(made) => return Ok((temporary, made)),
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
@@ -127,7 +129,7 @@ pub(crate) fn sync_folder(folder: &Path) -> Result<()> {
     if cfg!(unix) {
         fault_injection::at(Operation::Folder, folder)
             .and_then(|()| File::open(folder))
-            .and_then(|folder| folder.sync_all())
+            .and_then(|folder| or_missing(folder.sync_all()))
             .map_err(io("flushing", folder))?;
     }
     Ok(())

@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 use crate::atomic::{BUFFER_BYTES, rename, sync_folder, temporary_beside};
 use crate::error::{Result, io};
 use crate::fault_injection::{self, Operation};
+use crate::missing::or_missing;
 
-/// A folder that is filled under a temporary name beside its place, `.NAME.PID.tmp`, and appears when it is whole.
+/// A folder that is filled under a temporary name beside its place, `.NAME.PID.PLACE.tmp`, and appears when it is whole.
 ///
 /// Dropped without [`publish`](Self::publish) it is removed.
 ///
@@ -112,7 +113,7 @@ impl DraftFile {
         let flush = |out: &mut BufWriter<File>| {
             out.flush()?;
             fault_injection::at(Operation::Sync, &self.path)?;
-            out.get_ref().sync_all()
+            or_missing(out.get_ref().sync_all())
         };
         flush(&mut self.out).map_err(io("writing", &self.path))
     }

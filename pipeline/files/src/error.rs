@@ -17,6 +17,23 @@ pub struct Error {
     pub source: std::io::Error,
 }
 
+/// What to do about an error of the operating system, where something is known.
+#[must_use]
+pub fn hint(error: &std::io::Error) -> Option<&'static str> {
+    use std::io::ErrorKind::{FileTooLarge, PermissionDenied, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
+    match error.kind() {
+        StorageFull | QuotaExceeded => {
+            Some("free some space on that disk, then run the same command again: finished outputs are kept")
+        }
+        FileTooLarge => Some("raise the limit on file sizes (`ulimit -f`)"),
+        PermissionDenied | ReadOnlyFilesystem => Some("check the permissions of the file and of its folder"),
+        _ if matches!(error.raw_os_error(), Some(libc::EMFILE | libc::ENFILE)) => {
+            Some("too many open files: use fewer workers or raise `ulimit -n`")
+        }
+        _ => None,
+    }
+}
+
 impl From<Error> for std::io::Error {
     fn from(error: Error) -> Self {
         Self::new(error.source.kind(), error)

@@ -4,20 +4,15 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Result, io};
+use crate::writer::Writer;
 
 /// Removes the temporary files and folders of writers that are gone from a folder (not below it) and returns their
-/// paths.
-///
-/// A writer is gone when the system has a `/proc` and no process of that number is in it; without `/proc` nothing is
-/// removed.
+/// paths. See [`is_left_behind`].
 ///
 /// # Errors
 /// When the folder cannot be listed or something in it cannot be removed.
 pub fn sweep(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut removed = Vec::new();
-    if !Path::new("/proc/self").exists() {
-        return Ok(removed);
-    }
     for entry in std::fs::read_dir(folder).map_err(io("listing", folder))? {
         let entry = entry.map_err(io("listing", folder))?;
         let path = entry.path();
@@ -40,84 +35,62 @@ pub fn sweep(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(removed)
 }
 
-/// True for a temporary file or folder whose writer is gone. Without a `/proc` no writer is known to be gone.
+/// True for a temporary file or folder whose writer is gone. Of a writer on this system that is known from its process; a
+/// writer elsewhere (another host, another container, a system before its last start) may be at work for a day after the
+/// last change, which is far more than any file takes.
 #[must_use]
 pub fn is_left_behind(path: &Path) -> bool {
-    let writer = path.file_name().and_then(|name| writer_of(name.to_str()?));
-    writer.is_some_and(|writer| Path::new("/proc/self").exists() && !may_be_writing(writer, path))
-}
-
-/// Whether the process of that number can be the one that writes the file: it runs, and did so before the last change of
-/// the file. Numbers are used again, and a killed process keeps its number until its parent has taken note.
-fn may_be_writing(process: u32, file: &Path) -> bool {
-    let Ok(stat) = std::fs::read_to_string(format!("/proc/{process}/stat")) else {
-        return false;
-    };
-    // `PID (NAME) STATE ...`; the name may hold spaces and parentheses.
-    let Some((_, fields)) = stat.rsplit_once(") ") else {
-        return true;
-    };
-    let fields: Vec<&str> = fields.split(' ').collect();
-    if matches!(fields.first(), Some(&"Z" | &"X")) {
-        return false;
-    }
-    // Field 22 of the whole line: start in hundredths of a second after boot.
-    let started = fields
-        .get(19)
-        .and_then(|ticks| ticks.parse::<f64>().ok())
-        .map(|ticks| ticks / 100.0);
-    let booted = std::fs::read_to_string("/proc/stat").ok().and_then(|stat| {
-        stat.lines()
-            .find_map(|line| line.strip_prefix("btime ")?.trim().parse::<f64>().ok())
-    });
-    let changed = std::fs::metadata(file)
-        .and_then(|metadata| metadata.modified())
-        .ok()
-        .and_then(|time| Some(time.duration_since(std::time::UNIX_EPOCH).ok()?.as_secs_f64()));
-    match (started, booted, changed) {
-        // The boot time is given in whole seconds.
-        (Some(started), Some(booted), Some(changed)) => booted + started <= changed + 2.0,
-        _ => true,
-    }
-}
-
-/// Process number in `.NAME.PID.tmp` or `.NAME.PID-N.tmp`.
-fn writer_of(name: &str) -> Option<u32> {
-    let stem = name.strip_prefix('.')?.strip_suffix(".tmp")?;
-    let (_, writer) = stem.rsplit_once('.')?;
-    writer.split('-').next()?.parse().ok()
+    let writer = path.file_name().and_then(|name| Writer::of(name.to_str()?));
+    writer.is_some_and(|writer| !writer.may_be_at_work(path))
 }
 
 #[cfg(test)]
 mod tests {
+    use std::time::{Duration, SystemTime};
+
     use super::*;
+    use crate::writer::{LEASE, place};
 
     #[test]
     fn the_sweep_takes_only_what_belongs_to_writers_that_are_gone() {
-        let scratch = tempfile::tempdir().unwrap();
-        let folder = scratch.path();
-        let mine = format!(".a.r4c.{}.tmp", std::process::id());
-        // No process has the largest number: Linux caps them far below.
-        for name in [
-            mine.as_str(),
-            ".b.r4c.4294967295.tmp",
-            ".c.r4c.4294967295-3.tmp",
-            ".hidden.tmp",
-            "d.r4c",
-        ] {
-            std::fs::write(folder.join(name), b"x").unwrap();
-        }
-        std::fs::create_dir_all(folder.join(".e.4294967295.tmp/depth")).unwrap();
         if !Path::new("/proc/self").exists() {
             return;
         }
-        let expected = [".b.r4c.4294967295.tmp", ".c.r4c.4294967295-3.tmp", ".e.4294967295.tmp"];
-        assert_eq!(sweep(folder).unwrap(), expected.map(|name| folder.join(name)));
-        assert_eq!(std::fs::read_dir(folder).unwrap().count(), 3);
+        let scratch = tempfile::tempdir().unwrap();
+        let (folder, here) = (scratch.path(), place());
+        let mine = format!(".a.r4c.{}.{here}.tmp", std::process::id());
+        // No process has the largest number: Linux caps them far below.
+        let gone = [
+            format!(".b.r4c.4294967295.{here}.tmp"),
+            format!(".c.r4c.4294967295-3.{here}.tmp"),
+        ];
+        let elsewhere = [".f.r4c.4294967295.00000000.tmp", ".g.r4c.4294967295.tmp"];
+        let others = [mine.as_str(), ".hidden.tmp", "d.r4c"];
+        for name in others
+            .into_iter()
+            .chain(elsewhere)
+            .chain(gone.iter().map(String::as_str))
+        {
+            std::fs::write(folder.join(name), b"x").unwrap();
+        }
+        let draft = format!(".e.4294967295.{here}.tmp");
+        std::fs::create_dir_all(folder.join(&draft).join("depth")).unwrap();
+        let expected = [&gone[0], &gone[1], &draft].map(|name| folder.join(name));
+        assert_eq!(sweep(folder).unwrap(), expected);
+        assert_eq!(std::fs::read_dir(folder).unwrap().count(), 5);
         // The number is in use, but by a process that began long after the file's last change.
-        let old = std::fs::File::options().write(true).open(folder.join(&mine)).unwrap();
-        old.set_modified(std::time::UNIX_EPOCH + std::time::Duration::from_secs(1))
-            .unwrap();
+        let age = |name: &str, changed: SystemTime| {
+            let file = std::fs::File::options().write(true).open(folder.join(name)).unwrap();
+            file.set_modified(changed).unwrap();
+        };
+        age(&mine, SystemTime::UNIX_EPOCH + Duration::from_secs(1));
         assert_eq!(sweep(folder).unwrap(), [folder.join(&mine)]);
+        // Leases of writers elsewhere end.
+        age(elsewhere[0], SystemTime::now() - LEASE + Duration::from_secs(60));
+        assert_eq!(sweep(folder).unwrap(), [] as [PathBuf; 0]);
+        for name in elsewhere {
+            age(name, SystemTime::now() - LEASE - Duration::from_secs(60));
+        }
+        assert_eq!(sweep(folder).unwrap(), elsewhere.map(|name| folder.join(name)));
     }
 }

@@ -2,8 +2,9 @@
 //!
 //! Everything that rogs writes as a whole goes through this crate: it is written under a temporary name beside its
 //! place, flushed to disk, renamed, and its folder is flushed. A writer that dies leaves the old file, the new one or
-//! none, and perhaps a temporary `.NAME.PID.tmp`, which [`sweep`] recognises and removes. Lints of the workspace forbid
-//! `std::fs::write`, `File::create` and `std::fs::rename` elsewhere; logs that only grow are opened for appending.
+//! none, and perhaps a temporary `.NAME.PID.PLACE.tmp`, which [`sweep`] recognises and removes. Lints of the workspace
+//! forbid `std::fs::write`, `File::create` and `std::fs::rename` elsewhere. What some file systems cannot do is decided in
+//! one place, the module `missing`; nothing is written through links, and what is no file is not read.
 //!
 //! | to write | call |
 //! |---|---|
@@ -11,6 +12,13 @@
 //! | a file piece by piece | [`write_with`]; [`try_write_with`] when filling it can fail in ways of its own |
 //! | a folder of files | [`Draft`] |
 //! | a file that is already there under another name | [`rename`] |
+//! | a line of a log | [`append`] |
+//! | a folder in a folder of ours, or nothing in its place | [`make_folder_below`], [`remove_below`] |
+//!
+//! | to read | call |
+//! |---|---|
+//! | a file that somebody else named, which may be a pipe or a device | [`open`], [`read()`], [`read_to_string`] |
+//! | whether anybody else is at work | [`Lock`], [`is_locked`] |
 //!
 //! ```
 //! let folder = tempfile::tempdir()?;
@@ -31,10 +39,18 @@ mod draft;
 mod error;
 pub mod fault_injection;
 mod left_behind;
+mod lock;
+mod missing;
+mod place;
 mod stray;
+mod writer;
 
 pub use atomic::{rename, try_write_with, write_bytes, write_with};
 pub use draft::{Draft, DraftFile};
-pub use error::{Error, Result};
+pub use error::{Error, Result, hint};
 pub use left_behind::{is_left_behind, sweep};
+pub use lock::{Lock, LockError, is_locked};
+pub use missing::{is_missing_operation, probe};
+pub use place::{append, make_folder_below, open, read, read_to_string, remove_below};
 pub use stray::is_stray;
+pub use writer::remove_own;

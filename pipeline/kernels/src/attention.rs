@@ -7,6 +7,7 @@
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
+use crate::lanes;
 use crate::pointwise::exp;
 use crate::{Matrix, Norm, PackedWeight, Precision, vectorised};
 
@@ -182,12 +183,8 @@ impl WithSimd for Exponentials<'_> {
         for value in self.0.iter_mut() {
             *value = exp(*value - largest);
         }
-        let (vectors, rest) = S::as_simd_f32s(self.0);
-        let mut sum = simd.splat_f32s(0.0);
-        for &vector in vectors {
-            sum = simd.add_f32s(sum, vector);
-        }
-        rest.iter().fold(simd.reduce_sum_f32s(sum), |a, &b| a + b)
+        // In an order that does not depend on the width of vectors: the same bits on every processor.
+        lanes::sum_by_halves(self.0)
     }
 }
 
@@ -212,6 +209,27 @@ fn rotate(values: &mut [f32], cosine: &[f32], sine: &[f32]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[cfg(target_arch = "x86_64")]
+    #[test]
+    fn sums_of_exponentials_are_the_same_for_vectors_of_any_width() {
+        for count in [7usize, 16, 40, 300, 1001] {
+            let scores: Vec<f32> = (0..count).map(|k| ((k * 7919) % 1009) as f32 / 250.0 - 2.0).collect();
+            let (mut widest, mut one) = (scores.clone(), scores.clone());
+            let sum = Arch::new().dispatch(Exponentials(&mut widest));
+            assert_eq!(
+                sum,
+                Simd::vectorize(pulp::Scalar::new(), Exponentials(&mut one)),
+                "{count} values"
+            );
+            assert_eq!(widest, one);
+            if let Some(narrow) = pulp::x86::V3::try_new() {
+                let mut eight = scores.clone();
+                assert_eq!(sum, Simd::vectorize(narrow, Exponentials(&mut eight)), "{count} values");
+                assert_eq!(widest, eight);
+            }
+        }
+    }
 
     #[test]
     fn equals_the_definition_over_several_blocks() {

@@ -9,6 +9,27 @@ pub fn sum(values: &[f32], of: impl Fn(f32) -> f32) -> f32 {
     reduce(values, 0.0, |lane, value| lane + of(value)).iter().sum()
 }
 
+/// The sum of all values: those in whole rows of lanes side by side, then the lanes by halves, then the rest one after the
+/// other. So a vector of sixteen numbers does it by itself, and narrower ones that take their turns do the same.
+#[inline(always)]
+pub(crate) fn sum_by_halves(values: &[f32]) -> f32 {
+    let (whole, rest) = values.as_chunks::<LANES>();
+    let mut lanes = [0.0; LANES];
+    for part in whole {
+        for (lane, value) in lanes.iter_mut().zip(part) {
+            *lane += value;
+        }
+    }
+    let mut half = LANES / 2;
+    while half > 0 {
+        for lane in 0..half {
+            lanes[lane] += lanes[lane + half];
+        }
+        half /= 2;
+    }
+    rest.iter().fold(lanes[0], |sum, value| sum + value)
+}
+
 /// The largest value.
 #[inline(always)]
 pub fn largest(values: &[f32]) -> f32 {

@@ -1,19 +1,23 @@
 //! Text in columns, for every table that is printed in a terminal.
 
+use rogs_schemas::shown;
+
 /// One line a row: the first column to the left, the others to the right, two spaces between. Columns are as wide as their
-/// widest cell.
+/// widest cell; a cell is one line, whatever is in it.
 #[must_use]
 pub fn columns<Cell: AsRef<str>>(rows: &[Vec<Cell>]) -> Vec<String> {
+    let shown = |row: &Vec<Cell>| row.iter().map(|cell| shown::line(cell.as_ref()).into_owned()).collect();
+    let rows: Vec<Vec<String>> = rows.iter().map(shown).collect();
     let count = rows.iter().map(Vec::len).max().unwrap_or(0);
     let width = |column: usize| {
         let cells = rows.iter().filter_map(|row| row.get(column));
-        cells.map(|cell| cell.as_ref().chars().count()).max().unwrap_or(0)
+        cells.map(|cell| cell.chars().count()).max().unwrap_or(0)
     };
     let widths: Vec<usize> = (0..count).map(width).collect();
-    let line = |row: &Vec<Cell>| {
-        let cell = |(column, (cell, &width)): (usize, (&Cell, &usize))| match column {
-            0 => format!("{:width$}", cell.as_ref()),
-            _ => format!("  {:>width$}", cell.as_ref()),
+    let line = |row: &Vec<String>| {
+        let cell = |(column, (cell, &width)): (usize, (&String, &usize))| match column {
+            0 => format!("{cell:width$}"),
+            _ => format!("  {cell:>width$}"),
         };
         let text: String = row.iter().zip(&widths).enumerate().map(cell).collect();
         text.trim_end().to_owned()

@@ -40,6 +40,24 @@ pub enum Error {
         /// What to do.
         hint: Option<String>,
     },
+    /// Another program that we call - a client of Slurm - does not do what it was asked to.
+    #[error("`{tool}`: {message}")]
+    Tool {
+        /// The program.
+        tool: &'static str,
+        /// What is wrong.
+        message: String,
+        /// What to do.
+        hint: Option<String>,
+    },
+    /// The machine changed under us, or took something away that was there when the work began.
+    #[error("{message}")]
+    Environment {
+        /// What is wrong.
+        message: String,
+        /// What to do.
+        hint: Option<String>,
+    },
     /// Another process works in the run folder.
     #[error("`{}` is in use by {holder}", run.display())]
     Locked {
@@ -89,36 +107,60 @@ impl Error {
     #[must_use]
     pub fn hint(&self) -> Option<String> {
         match self {
-            Self::Manifest { hint, .. } | Self::Usage { hint, .. } | Self::Program { hint, .. } => hint.clone(),
+            Self::Manifest { hint, .. }
+            | Self::Usage { hint, .. }
+            | Self::Program { hint, .. }
+            | Self::Tool { hint, .. }
+            | Self::Environment { hint, .. } => hint.clone(),
             Self::Locked { .. } => {
                 Some("wait until it has finished, stop it, or use another `out` folder in the manifest".to_owned())
             }
-            Self::Io { source, .. } if source.kind() == std::io::ErrorKind::StorageFull => {
-                Some("free some space, then run the same command again: finished outputs are kept".to_owned())
-            }
-            Self::Io { .. } | Self::Schemas(_) => None,
+            Self::Io { source, .. } => rogs_files::hint(source).map(str::to_owned),
+            Self::Schemas(_) => None,
         }
     }
 
     /// The same error with a hint.
     #[must_use]
     pub fn with_hint(mut self, text: impl Into<String>) -> Self {
-        if let Self::Manifest { hint, .. } | Self::Usage { hint, .. } | Self::Program { hint, .. } = &mut self {
+        if let Self::Manifest { hint, .. }
+        | Self::Usage { hint, .. }
+        | Self::Program { hint, .. }
+        | Self::Tool { hint, .. }
+        | Self::Environment { hint, .. } = &mut self
+        {
             *hint = Some(text.into());
         }
         self
+    }
+
+    /// The same error, found when the work had begun already: what was right then is wrong now, so that it is no mistake
+    /// of whoever asked.
+    #[must_use]
+    pub fn after_start(self) -> Self {
+        match self {
+            Self::Usage { message, hint } => Self::Environment {
+                message,
+                hint: hint.or_else(|| Some("does something else change the run folder? Run again".to_owned())),
+            },
+            other => other,
+        }
     }
 }
 
 impl From<rogs_r4c::Error> for Error {
     fn from(error: rogs_r4c::Error) -> Self {
-        Self::Schemas(with_causes(&error))
+        match error {
+            rogs_r4c::Error::Io { action, path, source } => Self::Io { action, path, source },
+            other => Self::Schemas(with_causes(&other)),
+        }
     }
 }
 
 impl From<rogs_files::Error> for Error {
     fn from(error: rogs_files::Error) -> Self {
-        Self::Schemas(with_causes(&error))
+        let rogs_files::Error { action, path, source } = error;
+        Self::Io { action, path, source }
     }
 }
 

@@ -11,6 +11,7 @@ use serde::Serialize;
 use crate::error::{Result, io};
 use crate::plan::{Plan, WorkUnit};
 use crate::programs::StagePrograms;
+use crate::quote::path_word;
 use crate::stage::StageId;
 
 /// What was exported and how to run it.
@@ -73,19 +74,21 @@ pub fn write_units(plan: &Plan, shards: u32, out: &mut dyn Write) -> std::io::Re
 /// When the file cannot be written.
 pub fn export(plan: &Plan, programs: &StagePrograms, shards: u32, file: &Path) -> Result<Export> {
     let shards = shards.clamp(1, plan.clips.len().max(1) as u32);
-    plan.freeze()?;
     let file = std::path::absolute(file).map_err(io("cannot find", file))?;
+    let commands: Result<_> = stages(plan)
+        .into_iter()
+        .flat_map(|stage| (0..shards).map(move |shard| (stage, shard)))
+        .map(|(stage, shard)| batch_command(programs, stage, &file, &shard.to_string(), shards))
+        .collect();
+    let commands = commands?;
+    plan.freeze()?;
     let mut units = 0;
     rogs_files::write_with(&file, |out| {
         units = write_units(plan, shards, out)?;
         Ok(())
     })?;
-    let command = |stage: StageId, shard: u32| batch_command(programs, stage, &file, &shard.to_string(), shards);
-    let commands = stages(plan)
-        .into_iter()
-        .flat_map(|stage| (0..shards).map(move |shard| command(stage, shard)));
     Ok(Export {
-        commands: commands.collect(),
+        commands,
         plan: file.clone(),
         units,
         shards,
@@ -93,38 +96,26 @@ pub fn export(plan: &Plan, programs: &StagePrograms, shards: u32, file: &Path) -
 }
 
 /// The command that runs one shard of one stage.
+///
+/// # Errors
+/// When a path in it cannot be written down.
 pub(crate) fn batch_command(
     programs: &StagePrograms,
     stage: StageId,
     file: &Path,
     shard: &str,
     shards: u32,
-) -> Vec<String> {
+) -> Result<Vec<String>> {
+    path_word(programs.path())?;
     let mut words = programs.words(stage);
-    words.extend(["batch".to_owned(), "--plan".to_owned(), file.display().to_string()]);
+    words.extend(["batch".to_owned(), "--plan".to_owned(), path_word(file)?]);
     words.extend([
         "--shard-index".to_owned(),
         shard.to_owned(),
         "--shard-count".to_owned(),
         shards.to_string(),
     ]);
-    words
-}
-
-/// Words as one line for a shell.
-#[must_use]
-pub fn shell_line(words: &[String]) -> String {
-    words.iter().map(|word| shell_word(word)).collect::<Vec<_>>().join(" ")
-}
-
-/// A word that a POSIX shell takes as it is.
-pub(crate) fn shell_word(word: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,@%".contains(c);
-    if !word.is_empty() && word.chars().all(plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', "'\\''"))
-    }
+    Ok(words)
 }
 
 #[cfg(test)]
@@ -136,12 +127,5 @@ mod tests {
         let shards: Vec<u32> = (0..10).map(|clip| shard_of(clip, 10, 3)).collect();
         assert_eq!(shards, [0, 0, 0, 0, 1, 1, 1, 2, 2, 2]);
         assert_eq!(shard_of(0, 0, 1), 0);
-    }
-
-    #[test]
-    fn words_survive_a_shell() {
-        assert_eq!(shell_word("/a/b-c"), "/a/b-c");
-        assert_eq!(shell_word("it's a $HOME"), "'it'\\''s a $HOME'");
-        assert_eq!(shell_word(""), "''");
     }
 }

@@ -7,7 +7,7 @@ use rogs_schemas::ledger::LOG_FILE;
 use serde::Serialize;
 
 use crate::error::{Result, io};
-use crate::lock::RunLock;
+use crate::lock::{RunLock, refuse_active};
 use crate::plan::{Plan, WorkUnit, read_plan};
 
 /// What was, or would be, removed.
@@ -22,18 +22,28 @@ pub struct Collected {
 }
 
 /// Removes outputs that the plan of the run does not name (of clips and variants that are gone) and what killed writers
-/// left behind. Files that are not ours are never touched, and links are not followed.
+/// left behind. Files that are not ours are never touched, and links are not followed. A dry run writes nothing.
 ///
 /// # Errors
 /// When the run is in use or cannot be read or changed.
 pub fn collect(run: &Path, dry_run: bool) -> Result<Collected> {
-    let plan = read_plan(run)?;
-    let _lock = RunLock::acquire(&plan.run)?;
+    let mut plan = read_plan(run)?;
+    let _lock = if dry_run {
+        refuse_active(&plan.run)?;
+        None
+    } else {
+        let lock = RunLock::acquire(&plan.run)?;
+        // Nobody else plans from here on.
+        plan = read_plan(run)?;
+        Some(lock)
+    };
     let needed = needed(&plan);
     let mut found = Collected {
         dry_run,
         ..Collected::default()
     };
+    // The run folder itself may be a link.
+    plan.run = plan.run.canonicalize().map_err(io("cannot find", &plan.run))?;
     let clips = plan.run.join("clips");
     let known: HashSet<&str> = plan.clips.iter().map(|clip| clip.id.as_str()).collect();
     let mut sweep = Sweep {
@@ -49,7 +59,7 @@ pub fn collect(run: &Path, dry_run: bool) -> Result<Collected> {
     if !dry_run {
         for file in &found.files {
             let path = plan.run.join(file);
-            std::fs::remove_file(&path).map_err(io("cannot remove", &path))?;
+            rogs_files::remove_below(&plan.run, &path)?;
         }
         remove_empty(&clips, 0);
     }
@@ -100,11 +110,11 @@ impl Sweep<'_> {
         Ok(())
     }
 
-    /// Only what killed writers left, outside of `clips`.
+    /// Only what killed writers left, outside of `clips`: `report/tables` is the deepest folder of ours.
     fn left_behind(&mut self, folder: &Path, depth: usize) -> Result<()> {
         for entry in list(folder)? {
             let (path, kind) = (entry.path(), entry.file_type().map_err(io("cannot list", folder))?);
-            if kind.is_dir() && depth < 1 && entry.file_name() != "clips" {
+            if kind.is_dir() && depth < 2 && entry.file_name() != "clips" {
                 self.left_behind(&path, depth + 1)?;
             } else if kind.is_file() && rogs_files::is_left_behind(&path) {
                 self.take(&path, &entry);
@@ -121,8 +131,11 @@ impl Sweep<'_> {
     }
 }
 
-/// Entries of a folder; none when it is not there.
+/// Entries of a folder; none when it is not there, or a link.
 fn list(folder: &Path) -> Result<Vec<std::fs::DirEntry>> {
+    if folder.is_symlink() {
+        return Ok(Vec::new());
+    }
     match std::fs::read_dir(folder) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Vec::new()),
         other => other.and_then(Iterator::collect).map_err(io("cannot list", folder)),
@@ -130,6 +143,9 @@ fn list(folder: &Path) -> Result<Vec<std::fs::DirEntry>> {
 }
 
 fn remove_empty(folder: &Path, depth: usize) {
+    if folder.is_symlink() {
+        return;
+    }
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
         if entry.file_type().is_ok_and(|kind| kind.is_dir()) && depth < 2 {
             remove_empty(&entry.path(), depth + 1);

@@ -39,10 +39,7 @@ impl Ledger {
     /// # Errors
     /// When the operating system refuses.
     pub fn note(&self, attempt: &Attempt) -> Result<()> {
-        for file in ledger::files_of(&self.run, attempt) {
-            ledger::append(&file, attempt)?;
-        }
-        Ok(())
+        Ok(ledger::note(&self.run, attempt)?)
     }
 }
 
@@ -75,7 +72,7 @@ pub fn read_all(run: &Path) -> Result<Vec<Attempt>> {
 /// Visits every line of every ledger without keeping it. Lines that are not UTF-8 are left out.
 fn for_each_line(run: &Path, mut visit: impl FnMut(&str)) -> Result<()> {
     for path in files(run)? {
-        let file = std::fs::File::open(&path).map_err(io("cannot read", &path))?;
+        let file = rogs_files::open(&path).map_err(io("cannot read", &path))?;
         let mut reader = std::io::BufReader::with_capacity(1 << 16, file);
         let mut line = Vec::new();
         while reader.read_until(b'\n', &mut line).map_err(io("cannot read", &path))? > 0 {

@@ -47,6 +47,7 @@ pub mod manifest;
 pub mod plan;
 pub mod prepare;
 pub mod programs;
+pub mod quote;
 pub mod slurm;
 pub mod sources;
 pub mod stage;

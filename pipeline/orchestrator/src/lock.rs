@@ -1,20 +1,19 @@
 //! One process at a time works in a run folder.
 
-use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{Read, Seek, Write};
 use std::path::Path;
 
+use rogs_files::{Lock, LockError};
 use rogs_r4c::ledger::host;
 
-use crate::error::{Error, Result, io};
+use crate::error::{Error, Result};
 
-/// Name of the lock in a run folder. The file stays; only the system's lock on it counts, which ends with its holder.
+/// Name of the lock in a run folder.
 pub const LOCK_FILE: &str = ".lock";
 
 /// The lock of a run folder, held until dropped.
 #[derive(Debug)]
 pub struct RunLock {
-    file: File,
+    lock: Lock,
 }
 
 impl RunLock {
@@ -23,58 +22,48 @@ impl RunLock {
     /// # Errors
     /// [`Error::Locked`] when another process holds it; the message says which.
     pub fn acquire(run: &Path) -> Result<Self> {
-        std::fs::create_dir_all(run).map_err(io("cannot make the run folder", run))?;
-        let path = run.join(LOCK_FILE);
-        let open = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(&path);
-        let mut file = open.map_err(io("cannot open the lock", &path))?;
-        match patiently(&file) {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                let mut holder = String::new();
-                let _ = file.take(200).read_to_string(&mut holder);
-                let holder = if holder.trim().is_empty() {
-                    "another process".to_owned()
-                } else {
-                    holder.trim().to_owned()
-                };
-                return Err(Error::Locked {
-                    run: run.to_owned(),
-                    holder,
-                });
-            }
-            Err(TryLockError::Error(error)) => return Err(io("cannot lock", &path)(error)),
+        rogs_files::make_folder_below(run, run)?;
+        let holder = format!("process {} on {}", std::process::id(), host());
+        match Lock::acquire(&run.join(LOCK_FILE), &holder) {
+            Ok(lock) => Ok(Self { lock }),
+            Err(LockError::Held(holder)) => Err(Error::Locked {
+                run: run.to_owned(),
+                holder,
+            }),
+            Err(LockError::Io(error)) => Err(error.into()),
         }
-        let text = format!("process {} on {}\n", std::process::id(), host());
-        let write = file
-            .set_len(0)
-            .and_then(|()| file.rewind())
-            .and_then(|()| file.write_all(text.as_bytes()));
-        write.map_err(io("cannot write the lock", &path))?;
-        Ok(Self { file })
+    }
+
+    /// What a person should know where the file system has no locks.
+    #[must_use]
+    pub fn warning(&self) -> Option<String> {
+        self.lock.without_system().map(|why| {
+            format!(
+                "the file system of the run folder has no locks ({why}): a lease keeps other processes out, which is \
+                 slower to end; mount it with locks (Lustre: `flock`), or use another `out`"
+            )
+        })
     }
 }
 
-impl Drop for RunLock {
-    fn drop(&mut self) {
-        // Said aloud, because a child that is just being started may hold a copy of the descriptor for a moment.
-        let _ = self.file.unlock();
-    }
+/// True while a process works in a run folder. Writes nothing.
+#[must_use]
+pub fn is_active(run: &Path) -> bool {
+    rogs_files::is_locked(&run.join(LOCK_FILE))
 }
 
-/// Tries for a fifth of a second: `status` holds the lock for the blink in which it looks whether anyone works here.
-fn patiently(file: &File) -> std::result::Result<(), TryLockError> {
-    for _ in 0..10 {
-        match file.try_lock() {
-            Err(TryLockError::WouldBlock) => std::thread::sleep(std::time::Duration::from_millis(20)),
-            other => return other,
-        }
+/// For what only looks, and must not look while somebody works.
+///
+/// # Errors
+/// [`Error::Locked`] while a process works in the folder.
+pub(crate) fn refuse_active(run: &Path) -> Result<()> {
+    if is_active(run) {
+        return Err(Error::Locked {
+            run: run.to_owned(),
+            holder: "another process".to_owned(),
+        });
     }
-    file.try_lock()
+    Ok(())
 }
 
 #[cfg(test)]
@@ -85,6 +74,7 @@ mod tests {
     fn the_second_is_told_who_is_first() {
         let folder = tempfile::tempdir().unwrap();
         let first = RunLock::acquire(folder.path()).unwrap();
+        assert_eq!(first.warning(), None);
         let error = RunLock::acquire(folder.path()).unwrap_err();
         assert!(
             error
@@ -92,7 +82,9 @@ mod tests {
                 .contains(&format!("process {} on ", std::process::id())),
             "{error}"
         );
+        refuse_active(folder.path()).unwrap_err();
         drop(first);
+        refuse_active(folder.path()).unwrap();
         RunLock::acquire(folder.path()).unwrap();
     }
 }

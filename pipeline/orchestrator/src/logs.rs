@@ -4,6 +4,7 @@ use std::path::Path;
 
 use rogs_r4c::ledger;
 use rogs_schemas::ledger::{Attempt, LOG_FILE, Outcome};
+use rogs_schemas::shown;
 
 use crate::error::Result;
 use crate::plan::read_plan;
@@ -38,16 +39,16 @@ pub fn text(attempt: &Attempt) -> String {
         attempt.key
     );
     for warning in &attempt.warnings {
-        out.push_str(&format!("\n  warning: {warning}"));
+        out.push_str(&format!("\n  warning: {}", shown::line(warning)));
     }
     if let Some(failure) = &attempt.failure {
-        out.push_str(&format!("\n  {}", failure.message));
+        out.push_str(&format!("\n  {}", shown::line(&failure.message)));
         if let Some(hint) = &failure.hint {
-            out.push_str(&format!("\n  hint: {hint}"));
+            out.push_str(&format!("\n  hint: {}", shown::line(hint)));
         }
     }
     for line in &attempt.stderr {
-        out.push_str(&format!("\n  | {line}"));
+        out.push_str(&format!("\n  | {}", shown::line(line)));
     }
     out
 }

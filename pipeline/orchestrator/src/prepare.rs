@@ -1,6 +1,7 @@
 //! From a manifest file to a plan that can be run.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use crate::error::{Error, Result};
 use crate::executor::RunOptions;
@@ -26,11 +27,12 @@ pub struct Prepared {
     pub plan: Plan,
     /// How to run it on this machine; change what the command line says otherwise.
     pub options: RunOptions,
+    /// Content of the sources, to be remembered when something is run.
+    sources: Arc<SourceCache>,
 }
 
 impl Prepared {
-    /// Reads a manifest (or the one in a run folder), asks the stage programs, hashes sources, and plans. Writes nothing
-    /// but the cache of source hashes in the run folder, and that only when the folder is there already.
+    /// Reads a manifest (or the one in a run folder), asks the stage programs, hashes sources, and plans. Writes nothing.
     ///
     /// `programs` are used when the manifest names none of its own; see [`StagePrograms::this_program`].
     ///
@@ -53,16 +55,22 @@ impl Prepared {
         let sources = SourceCache::open(&cache_file);
         let plan = make_plan(&manifest, &text, &programs, &sources)?;
         same_selection(&plan)?;
-        if manifest.run.out.is_dir() {
-            sources.save()?;
-        }
         let options = RunOptions::of(&manifest, programs);
         Ok(Self {
             manifest,
             text: text.text,
             plan,
             options,
+            sources: Arc::new(sources),
         })
+    }
+
+    /// Remembers the content of the sources in the run folder, where there is one, so that the next plan need not read
+    /// them again. It only saves time, so it may fail.
+    pub(crate) fn remember_sources(&self) {
+        if self.plan.run.is_dir() {
+            let _ = self.sources.save();
+        }
     }
 
     /// Runs what is not up to date: [`crate::executor::execute`], with a copy of the manifest in the run folder.
@@ -70,8 +78,10 @@ impl Prepared {
     /// # Errors
     /// See [`crate::executor::execute`].
     pub fn run(&self) -> Result<crate::executor::RunSummary> {
+        self.remember_sources();
         let summary = crate::executor::execute(&self.plan, &self.options)?;
         rogs_files::write_bytes(&self.plan.run.join(MANIFEST_FILE), self.text.as_bytes())?;
+        self.remember_sources();
         Ok(summary)
     }
 }

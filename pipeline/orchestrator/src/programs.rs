@@ -76,6 +76,15 @@ impl StagePrograms {
         })
     }
 
+    /// The program, or the folder with the programs.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::Embedded { program, .. } => program,
+            Self::Directory(folder) => folder,
+        }
+    }
+
     /// A command that starts a stage program, without arguments.
     #[must_use]
     pub fn command(&self, stage: StageId) -> Command {
@@ -164,10 +173,15 @@ impl StagePrograms {
         // The program says what is wrong in the form `error: ...` and `hint: ...`.
         let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
         let line = |start: &str| stderr.lines().find_map(|line| line.strip_prefix(start)).map(str::trim);
-        let message = line("error:").map_or_else(
-            || format!("ended with {}: {}", output.status, stderr.trim()),
-            String::from,
-        );
+        // Only a program that ended by itself and says why has looked at what it was asked; others were killed, or are none
+        // of ours.
+        let Some(message) = line("error:").filter(|_| output.status.code().is_some()) else {
+            let error = self.error(stage, format!("ended with {}: {}", output.status, stderr.trim()));
+            return Err(match output.status.code() {
+                None => error.with_hint("something killed it; is there enough memory? Run again"),
+                Some(_) => error,
+            });
+        };
         let error = Error::Usage {
             message: format!("{stage}: {message}"),
             hint: None,

@@ -39,7 +39,7 @@ impl SourceCache {
     /// A cache that is kept in a file. A file that cannot be read or understood counts as empty: it only saves time.
     #[must_use]
     pub fn open(file: &Path) -> Self {
-        let text = std::fs::read(file).unwrap_or_default();
+        let text = rogs_files::read(file).unwrap_or_default();
         let known: BTreeMap<PathBuf, Entry> = serde_json::from_slice(&text).unwrap_or_default();
         Self {
             known: Mutex::new(known.into_iter().collect()),
@@ -56,7 +56,7 @@ impl SourceCache {
         let Some(file) = self
             .file
             .as_ref()
-            .filter(|_| self.changed.load(std::sync::atomic::Ordering::SeqCst))
+            .filter(|_| self.changed.swap(false, std::sync::atomic::Ordering::SeqCst))
         else {
             return Ok(());
         };
@@ -130,11 +130,12 @@ impl SourceCache {
         Ok(combine(&hashed.collect::<Result<BTreeMap<_, _>>>()?))
     }
 
-    /// Content hash of the files of an episode below its root. A file that is not there counts as missing, so that the
-    /// episode is planned, fails in ingest with a clear message, and gets another key when the file appears.
+    /// Content hash of the files of an episode below its root. What is not there, is no file or cannot be read counts as
+    /// missing, so that the episode is planned, fails by itself in ingest where it needs that file, and gets another key
+    /// when the file appears.
     ///
     /// # Errors
-    /// When a file that is there cannot be read.
+    /// Of an episode that lists no files: when something in its folder cannot be read.
     pub fn episode(&self, root: &Path, files: &[PathBuf]) -> Result<ContentHash> {
         if files.is_empty() {
             return self.source("episode", root);
@@ -146,12 +147,7 @@ impl SourceCache {
                 .unwrap_or(file)
                 .to_string_lossy()
                 .replace('\\', "/");
-            let hash = if path.exists() {
-                self.file(&path)?
-            } else {
-                ContentHash([0; 32])
-            };
-            Ok((name, hash))
+            Ok((name, self.file(&path).unwrap_or(ContentHash([0; 32]))))
         });
         Ok(combine(&hashed.collect::<Result<BTreeMap<_, _>>>()?))
     }

@@ -27,6 +27,21 @@ pub fn output_state(path: &Path, key: CacheKey) -> OutputState {
     state_of(key, rogs_r4c::read_header(path).map(|header| header.key))
 }
 
+/// Reads an output of a run folder completely and removes it when it is damaged; says what is wrong with it. `None` for one that is whole,
+/// or not there, or that the system does not let us read, which says nothing about it.
+///
+/// # Errors
+/// When it is damaged and cannot be removed.
+pub fn remove_damaged(run: &Path, output: &Path) -> crate::Result<Option<String>> {
+    let path = run.join(output);
+    let why = match rogs_r4c::verify(&path) {
+        Ok(_) | Err(Error::Io { .. }) => return Ok(None),
+        Err(error) => crate::Error::from(error).to_string(),
+    };
+    rogs_files::remove_below(run, &path)?;
+    Ok(Some(why))
+}
+
 /// Looks at an output more quickly: whether it is finished, as long as it should be, and has the key.
 #[must_use]
 pub fn output_key_state(path: &Path, key: CacheKey) -> OutputState {

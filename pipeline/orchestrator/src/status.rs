@@ -6,13 +6,14 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use rogs_schemas::ClipId;
 use rogs_schemas::ledger::Failure;
+use rogs_schemas::shown;
 use serde::Serialize;
 
 use crate::columns::columns;
 use crate::error::Result;
 use crate::exit::Exit;
 use crate::ledger::last_failures;
-use crate::lock::LOCK_FILE;
+use crate::lock::is_active;
 use crate::plan::{Plan, WorkUnit, read_plan};
 use crate::state::OutputState;
 
@@ -218,12 +219,6 @@ fn summarise(plan: &Plan, units: Vec<(Vec<UnitState>, Vec<StatusFailure>)>) -> S
     }
 }
 
-/// True while another process holds the lock of the run folder.
-fn is_active(run: &Path) -> bool {
-    let file = std::fs::File::open(run.join(LOCK_FILE));
-    file.is_ok_and(|file| matches!(file.try_lock_shared(), Err(std::fs::TryLockError::WouldBlock)))
-}
-
 impl Status {
     /// The status as a table for people.
     #[must_use]
@@ -245,8 +240,8 @@ impl Status {
         }));
         lines.extend(columns(&rows));
         for StatusFailure { clip, node, failure } in &self.failures {
-            lines.push(format!("failed: {clip} at {node}: {}", failure.message));
-            lines.extend(failure.hint.iter().map(|hint| format!("  hint: {hint}")));
+            lines.push(format!("failed: {clip} at {node}: {}", shown::line(&failure.message)));
+            lines.extend(failure.hint.iter().map(|hint| format!("  hint: {}", shown::line(hint))));
         }
         lines.join("\n")
     }

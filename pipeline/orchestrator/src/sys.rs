@@ -1,5 +1,6 @@
 //! What the standard library does not offer: counting termination signals, memory and disk of the machine.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
@@ -8,8 +9,8 @@ use signal_hook::iterator::Signals;
 /// Termination signals since the start.
 static SIGNALS: AtomicUsize = AtomicUsize::new(0);
 
-/// Termination signals (Ctrl-C, TERM, HUP) of this process, counted instead of fatal: the first asks to finish, the
-/// second to stop at once; the third ends the process where it stands.
+/// Termination signals (Ctrl-C, TERM) of this process, counted instead of fatal: the first asks to finish, the second to
+/// stop at once; the third ends the process where it stands. A terminal that goes away (HUP) ends nothing.
 #[derive(Debug, Clone, Copy)]
 pub struct Interrupts {
     counted: bool,
@@ -21,7 +22,8 @@ impl Interrupts {
     /// # Errors
     /// When the system refuses the handler.
     pub fn install() -> std::io::Result<Self> {
-        let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
+        signal_hook::flag::register(SIGHUP, Arc::default())?;
+        let mut signals = Signals::new([SIGINT, SIGTERM])?;
         std::thread::Builder::new().name("signals".into()).spawn(move || {
             for _ in signals.forever() {
                 if SIGNALS.fetch_add(1, Ordering::SeqCst) >= 2 {

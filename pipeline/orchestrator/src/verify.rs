@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use crate::error::Result;
 use crate::exit::Exit;
+use crate::lock::RunLock;
 use crate::plan::{Plan, WorkUnit, read_plan};
 
 /// What a check of a run found.
@@ -35,6 +36,20 @@ pub struct BadOutput {
 /// When the folder is not a run folder.
 pub fn verify(run: &Path) -> Result<Verification> {
     Ok(verify_plan(&read_plan(run)?))
+}
+
+/// [`verify`], and removes what is wrong, so that the next run makes it again.
+///
+/// # Errors
+/// When the folder is not a run folder or in use, or something that is wrong cannot be removed.
+pub fn remove_bad(run: &Path) -> Result<Verification> {
+    let _lock = RunLock::acquire(&read_plan(run)?.run)?;
+    let plan = read_plan(run)?;
+    let found = verify_plan(&plan);
+    for bad in &found.bad {
+        rogs_files::remove_below(&plan.run, &plan.run.join(&bad.output))?;
+    }
+    Ok(found)
 }
 
 fn verify_plan(plan: &Plan) -> Verification {

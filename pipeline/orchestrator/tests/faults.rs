@@ -365,7 +365,7 @@ fn a_file_system_that_is_mounted_read_only_is_enough_for_inputs_and_named_where_
     let text = stderr(&output);
     assert_eq!(output.status.code(), Some(Exit::Environment.code().into()), "{text}");
     assert!(
-        text.contains("cannot make the run folder") && text.contains("Read-only file system"),
+        text.contains("making the folder") && text.contains("Read-only file system"),
         "{text}"
     );
 }

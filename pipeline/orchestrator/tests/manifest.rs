@@ -43,6 +43,31 @@ fn unknown_names_have_line_column_and_a_suggestion() {
 }
 
 #[test]
+fn numbers_that_no_machine_has_are_refused_at_their_place() {
+    for (line, word) in [
+        ("workers = 9223372036854775807", "`executor.workers`"),
+        ("workers = 0", "`executor.workers`"),
+        ("threads = 100000000", "`executor.threads`"),
+        ("grace = nan", "`executor.grace`"),
+        ("grace = inf", "`executor.grace`"),
+        ("grace = -1.0", "`executor.grace`"),
+        ("deadline = { lift = nan }", "`executor.deadline.lift`"),
+        ("deadline = { lift = 0.0 }", "`executor.deadline.lift`"),
+    ] {
+        let (message, _) = refusal(&format!("[executor]\n{line}\n"));
+        assert!(message.starts_with("toy.toml:12:"), "{line}: {message}");
+        assert!(
+            message.contains(word) && message.contains("expected "),
+            "{line}: {message}"
+        );
+    }
+    for line in ["shards = 0", "at-once = 0", "cpus = { lift = 0 }"] {
+        let (message, _) = refusal(&format!("[slurm]\n{line}\n"));
+        assert!(message.contains("expected 1 to "), "{line}: {message}");
+    }
+}
+
+#[test]
 fn wrong_values_say_where_and_what() {
     let (message, _) = refusal("[lift]\nseed = \"one\"\n");
     assert!(
@@ -55,7 +80,10 @@ fn wrong_values_say_where_and_what() {
         "{message}"
     );
     let (message, _) = refusal("[executor]\nworkers = 0\n");
-    assert!(message.contains("at least 1"), "{message}");
+    assert!(
+        message.contains("invalid `executor.workers` 0: expected 1 to "),
+        "{message}"
+    );
     let (message, _) = refusal("[[variants]]\nname = \"../x\"\n");
     assert!(message.contains("invalid variant name"), "{message}");
     let (message, _) = refusal("[[variants]]\nname = \"x\"\n[[variants]]\nname = \"X\"\n");

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use rayon::prelude::*;
 use rogs_schemas::key::{CacheKey, ContentHash, Provenance};
 use serde::Serialize;
 
@@ -82,16 +81,7 @@ pub struct ChunkTotals {
 pub fn inspect(path: &Path) -> Result<InspectReport> {
     let reader = Reader::open(path)?;
     let header = reader.header();
-    let ranges: Result<Vec<Range>> = reader
-        .entries()
-        .par_iter()
-        .map(|entry| {
-            let mut bytes = reader.buffer::<u8>(entry.decoded as usize)?;
-            reader.decode_chunk(entry, &mut bytes)?;
-            Ok(range(reader.streams()[entry.stream as usize].dtype, &bytes))
-        })
-        .collect();
-    let ranges = ranges?;
+    let ranges = reader.check_all(|entry, bytes| range(reader.streams()[entry.stream as usize].dtype, bytes))?;
     let report = |(number, stream): (usize, &StreamInfo)| {
         let chunks = reader
             .entries()

@@ -1,10 +1,8 @@
 //! The append-only files in which attempts are noted, and who notes them (entries: [`rogs_schemas::ledger`]).
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use rogs_files::fault_injection::{self, Operation};
 use rogs_schemas::ids::safe_name;
 use rogs_schemas::ledger::{Attempt, LEDGER_FOLDER, LOG_FILE};
 
@@ -51,23 +49,27 @@ pub fn now_ms() -> u64 {
 /// # Errors
 /// When the operating system refuses.
 pub fn append(path: &Path, attempt: &Attempt) -> Result<()> {
-    let io = |source| Error::Io {
+    let mut line = serde_json::to_vec(attempt).map_err(|error| Error::Io {
         action: "appending to",
         path: path.to_owned(),
-        source,
-    };
-    fault_injection::at(Operation::Append, path).map_err(io)?;
-    let mut line = serde_json::to_vec(attempt).map_err(|error| io(std::io::Error::other(error)))?;
+        source: std::io::Error::other(error),
+    })?;
     line.push(b'\n');
-    let open = || std::fs::OpenOptions::new().create(true).append(true).open(path);
-    let mut file = match open() {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-            std::fs::create_dir_all(path.parent().unwrap_or(Path::new("."))).map_err(io)?;
-            open().map_err(io)?
+    Ok(rogs_files::append(path, &line)?)
+}
+
+/// Notes an attempt in the [`files_of`] it in a run folder. Nothing is written behind links in that folder.
+///
+/// # Errors
+/// When a file or its folder is a link, or the operating system refuses.
+pub fn note(run: &Path, attempt: &Attempt) -> Result<()> {
+    for file in files_of(run, attempt) {
+        if let Some(folder) = file.parent() {
+            rogs_files::make_folder_below(run, folder)?;
         }
-        other => other.map_err(io)?,
-    };
-    file.write_all(&line).map_err(io)
+        append(&file, attempt)?;
+    }
+    Ok(())
 }
 
 /// All attempts in a file, in order. Lines that are cut off (the writer was killed) or of a newer kind are left out; a
@@ -76,7 +78,7 @@ pub fn append(path: &Path, attempt: &Attempt) -> Result<()> {
 /// # Errors
 /// When the operating system refuses.
 pub fn read(path: &Path) -> Result<Vec<Attempt>> {
-    match std::fs::read(path) {
+    match rogs_files::read(path) {
         Ok(bytes) => Ok(bytes
             .split(|&byte| byte == b'\n')
             .filter_map(|line| serde_json::from_slice(line).ok())
@@ -93,6 +95,7 @@ pub fn read(path: &Path) -> Result<Vec<Attempt>> {
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeMap;
+    use std::io::Write as _;
 
     use rogs_schemas::CacheKey;
     use rogs_schemas::ledger::{Failure, Outcome};

@@ -80,7 +80,7 @@ pub fn read_key(path: &Path) -> Result<CacheKey> {
         check,
     };
     fault_injection::at(Operation::Open, path).map_err(io)?;
-    let file = File::open(path).map_err(io)?;
+    let file = rogs_files::open(path).map_err(io)?;
     let status = file.metadata().map_err(io)?;
     let length = status.len();
     if !status.is_file() || length < MIN_FILE {
@@ -104,34 +104,37 @@ pub fn read_key(path: &Path) -> Result<CacheKey> {
 /// When anything is damaged.
 pub fn verify(path: &Path) -> Result<FileHeader> {
     let reader = Reader::open(path)?;
-    let chunks: Result<Vec<ChunkContent>> = reader
-        .entries
-        .par_iter()
-        .map(|entry| {
-            let mut bytes = reader.buffer::<u8>(entry.decoded as usize)?;
-            reader.decode_chunk(entry, &mut bytes)?;
-            Ok(ChunkContent {
-                stream: entry.stream,
-                coordinates: entry.coordinates,
-                elements: entry.elements,
-                hash: *blake3::hash(&bytes).as_bytes(),
-            })
-        })
-        .collect();
-    let version = reader.prologue.schema_version;
-    let content = content_hash(
-        &reader.schema.name,
-        version,
-        &reader.schema.streams,
-        chunks?.into_iter(),
-    );
-    if content != reader.content {
-        return Err(reader.damaged(
-            reader.footer.schema_offset,
-            "the content hash does not match the streams",
-        ));
-    }
+    reader.check_all(|_, _| ())?;
     Ok(reader.header())
+}
+
+impl Reader {
+    /// Decodes every chunk, checks that their content is the one that the file says it has, and returns what `look` makes
+    /// of each, in file order.
+    pub(crate) fn check_all<T: Send>(&self, look: impl Fn(&IndexEntry, &[u8]) -> T + Sync) -> Result<Vec<T>> {
+        let chunks: Result<Vec<(ChunkContent, T)>> = self
+            .entries
+            .par_iter()
+            .map(|entry| {
+                let mut bytes = self.buffer::<u8>(entry.decoded as usize)?;
+                self.decode_chunk(entry, &mut bytes)?;
+                let content = ChunkContent {
+                    stream: entry.stream,
+                    coordinates: entry.coordinates,
+                    elements: entry.elements,
+                    hash: *blake3::hash(&bytes).as_bytes(),
+                };
+                Ok((content, look(entry, &bytes)))
+            })
+            .collect();
+        let (chunks, looked): (Vec<_>, Vec<_>) = chunks?.into_iter().unzip();
+        let version = self.prologue.schema_version;
+        let content = content_hash(&self.schema.name, version, &self.schema.streams, chunks.into_iter());
+        if content != self.content {
+            return Err(self.damaged(self.footer.schema_offset, "the content hash does not match the streams"));
+        }
+        Ok(looked)
+    }
 }
 
 /// An open, checked container.
@@ -174,7 +177,7 @@ impl Reader {
             check,
         };
         fault_injection::at(Operation::Open, path).map_err(io("opening"))?;
-        let file = File::open(path).map_err(io("opening"))?;
+        let file = rogs_files::open(path).map_err(io("opening"))?;
         let status = file.metadata().map_err(io("opening"))?;
         let length = status.len();
         if !status.is_file() {

@@ -19,7 +19,7 @@ const MAX_FILES: usize = 200_000;
 /// BLAKE3 of a file's bytes.
 ///
 /// # Errors
-/// When the file cannot be read.
+/// When it is no file (a folder, a pipe, a device) or cannot be read.
 pub fn hash_file(path: &Path) -> Result<ContentHash> {
     let io = |source| Error::Io {
         action: "reading",
@@ -27,9 +27,7 @@ pub fn hash_file(path: &Path) -> Result<ContentHash> {
         source,
     };
     let mut hasher = blake3::Hasher::new();
-    hasher
-        .update_reader(std::fs::File::open(path).map_err(io)?)
-        .map_err(io)?;
+    hasher.update_reader(rogs_files::open(path).map_err(io)?).map_err(io)?;
     Ok(ContentHash(*hasher.finalize().as_bytes()))
 }
 

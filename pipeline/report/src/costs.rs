@@ -97,7 +97,7 @@ fn refinement_seconds(seconds: &BTreeMap<String, f64>, scored: Option<u64>, made
 fn given_timing(path: &Path) -> ClipTiming {
     let short = std::fs::metadata(path).is_ok_and(|metadata| metadata.len() <= MAX_TIMING_BYTES);
     let text = if short {
-        std::fs::read(path).unwrap_or_default()
+        rogs_files::read(path).unwrap_or_default()
     } else {
         Vec::new()
     };

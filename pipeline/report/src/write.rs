@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use rogs_files::write_bytes;
 use rogs_orchestrator::manifest::Manifest;
 use rogs_orchestrator::{Error, Result};
+use rogs_schemas::shown;
 use rogs_score::tables::{Table, TableId, TableOptions};
 
 use crate::forms::Form;
@@ -34,16 +35,17 @@ pub fn write_report(run: &Path) -> Result<PathBuf> {
     for id in TableId::ALL {
         let table = results.table(id, None, options)?;
         if has_content(&table) {
-            write_table(&folder.join(TABLES_FOLDER), &table)?;
+            write_table(&results.plan.run, &folder.join(TABLES_FOLDER), &table)?;
             tables.push(table);
         }
     }
     let manifest = Manifest::load(&results.plan.manifest).ok();
     let picture_clips = manifest.and_then(|(manifest, _)| manifest.report.clips);
     let page = page(&results, &tables, picture_clips.unwrap_or(PICTURE_CLIPS));
-    make_folder(&folder)?;
+    rogs_files::make_folder_below(&results.plan.run, &folder)?;
     let path = folder.join("index.html");
-    write_bytes(&path, page.into_string().as_bytes())?;
+    // Whatever else has a name in the page.
+    write_bytes(&path, shown::text(&page.into_string()).as_bytes())?;
     Ok(path)
 }
 
@@ -65,8 +67,8 @@ fn has_content(table: &Table) -> bool {
 }
 
 /// Writes a table in all its forms.
-fn write_table(folder: &Path, table: &Table) -> Result<()> {
-    make_folder(folder)?;
+fn write_table(run: &Path, folder: &Path, table: &Table) -> Result<()> {
+    rogs_files::make_folder_below(run, folder)?;
     for form in Form::ALL {
         let path = folder.join(format!("{}.{}", table.id, form.extension()));
         let text = form.print(table).map_err(|error| Error::Io {
@@ -77,12 +79,4 @@ fn write_table(folder: &Path, table: &Table) -> Result<()> {
         write_bytes(&path, text.as_bytes())?;
     }
     Ok(())
-}
-
-fn make_folder(path: &Path) -> Result<()> {
-    std::fs::create_dir_all(path).map_err(|source| Error::Io {
-        action: "cannot make",
-        path: path.to_owned(),
-        source,
-    })
 }

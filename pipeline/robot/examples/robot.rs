@@ -9,7 +9,7 @@ use std::path::Path;
 
 use glam::{DMat3, DVec3};
 use rogs_geometry::{Base, Camera, Pinhole, Pose};
-use rogs_robot::fk_json::fk_rows;
+use rogs_robot::fk_json::FkTable;
 use rogs_robot::{JointState, MeshScene, RenderOptions, RobotModel};
 use rogs_schemas::Intrinsics;
 use rogs_schemas::records::robot::{NO_LINK, RobotSpec};
@@ -39,7 +39,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         .map(|row| if header.is_empty() { Vec::new() } else { row })
         .collect();
     let first = rows.first().cloned().unwrap_or_default();
-    println!("{}", serde_json::to_string(&fk_rows(&model, &header, rows)?)?);
+    let table = FkTable::new(&model, &header)?;
+    let poses = rows.iter().enumerate().map(|(row, fields)| table.row(row, fields));
+    let poses = poses.collect::<Result<Vec<_>, _>>()?;
+    println!("{}", serde_json::to_string(&poses)?);
     if let [_, picture] = more {
         let values = header
             .iter()

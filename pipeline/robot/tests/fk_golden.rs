@@ -6,6 +6,7 @@ mod common;
 use std::collections::BTreeMap;
 
 use rogs_needs::{needs, shared};
+use rogs_robot::fk_json::FkTable;
 use rogs_robot::{JointState, RobotModel};
 use rogs_schemas::records::robot::RobotSpec;
 use serde_json::Value;
@@ -123,18 +124,17 @@ fn own_transforms_agree_with_the_k_crate() {
 fn the_table_form_follows_mimic_joints_and_names_its_errors() {
     let model = common::panda();
     let header: Vec<String> = ["panda_joint1", " finger_joint "].map(String::from).to_vec();
-    let rows = rogs_robot::fk_json::fk_rows(&model, &header, [vec!["0.5", " 0.3"], vec!["0", "0"]]).unwrap();
-    assert_eq!(rows.len(), 2);
+    let table = FkTable::new(&model, &header).unwrap();
+    let row = table.row(0, &["0.5", " 0.3"]).unwrap();
+    assert_eq!(table.row(1, &["0", "0"]).unwrap()["row"], 1);
     let state = model
         .joint_state([("panda_joint1", 0.5), ("finger_joint", 0.3)])
         .unwrap();
     let expected = model.fk(&state)[model.link_id("right_inner_finger").unwrap()].to_matrix4();
-    assert_eq!(numbers(&rows[0]["links"]["right_inner_finger"]), expected);
+    assert_eq!(numbers(&row["links"]["right_inner_finger"]), expected);
     let error = |header: &[&str], row: &[&str]| {
-        let header: Vec<String> = header.iter().map(|&name| name.to_owned()).collect();
-        rogs_robot::fk_json::fk_rows(&model, &header, [row.to_vec()])
-            .unwrap_err()
-            .to_string()
+        let table = FkTable::new(&model, header);
+        table.and_then(|table| table.check(0, row)).unwrap_err().to_string()
     };
     assert!(error(&["panda_joint9"], &["0"]).contains("header, column 1"));
     assert!(error(&["panda_joint9"], &["0"]).contains("did you mean"));

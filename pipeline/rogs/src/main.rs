@@ -40,6 +40,9 @@ fn exit_of(error: &anyhow::Error) -> Exit {
     if let Some(known) = error.downcast_ref::<rogs_orchestrator::Error>() {
         return known.exit();
     }
+    if error.is::<output::CannotPrint>() {
+        return Exit::Environment;
+    }
     let refused = |error: &io::Error| {
         use io::ErrorKind::{
             FileTooLarge, OutOfMemory, PermissionDenied, QuotaExceeded, ReadOnlyFilesystem, StorageFull,

@@ -1,53 +1,112 @@
 //! The only place that prints: results to standard output, messages to standard error.
+//!
+//! Names in them are shown as `rogs_schemas::shown` does. Whoever reads may have gone away, which is no error; a result that
+//! the machine refuses to print is one, but never changes the exit code of work that is done.
 
-use std::io::Write as _;
+use std::fmt;
+use std::io::{ErrorKind, Write as _};
 
+use rogs_schemas::shown;
 use serde::Serialize;
+
+/// Standard output refused a result.
+#[derive(Debug)]
+pub(crate) struct CannotPrint(std::io::Error);
+
+impl fmt::Display for CannotPrint {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "cannot print the result: {}", self.0)
+    }
+}
+
+impl std::error::Error for CannotPrint {}
 
 /// Prints one JSON value, indented.
 pub(crate) fn json<T: Serialize>(value: &T) -> anyhow::Result<()> {
-    let mut out = std::io::stdout().lock();
-    serde_json::to_writer_pretty(&mut out, value)?;
-    out.write_all(b"\n")?;
-    out.flush()?;
-    Ok(())
+    print(&shown::json(&serde_json::to_string_pretty(value)?))
+}
+
+/// Prints a JSON array, indented as [`json`] does, element by element: it need not fit into memory.
+pub(crate) fn json_array<T: Serialize>(values: impl Iterator<Item = anyhow::Result<T>>) -> anyhow::Result<()> {
+    let mut out = std::io::BufWriter::new(std::io::stdout().lock());
+    let mut write = |text: &str| ended(out.write_all(text.as_bytes()));
+    let mut separator = "[\n  ";
+    for value in values {
+        let value = serde_json::to_string_pretty(&value?)?.replace('\n', "\n  ");
+        if !write(separator)? || !write(&shown::json(&value))? {
+            return Ok(());
+        }
+        separator = ",\n  ";
+    }
+    write(if separator.starts_with('[') { "[]\n" } else { "\n]\n" })?;
+    ended(out.flush()).map(|_| ())
 }
 
 /// Prints text and a line end where it lacks one.
 pub(crate) fn text(text: &str) -> anyhow::Result<()> {
+    print(&shown::text(text))
+}
+
+fn print(text: &str) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
-    out.write_all(text.as_bytes())?;
-    if !text.ends_with('\n') {
-        out.write_all(b"\n")?;
+    let end = if text.ends_with('\n') { "" } else { "\n" };
+    let written = out
+        .write_all(text.as_bytes())
+        .and_then(|()| out.write_all(end.as_bytes()))
+        .and_then(|()| out.flush());
+    ended(written).map(|_| ())
+}
+
+/// False when whoever reads went away; an error when the machine refuses.
+fn ended(written: std::io::Result<()>) -> anyhow::Result<bool> {
+    match written {
+        Ok(()) => Ok(true),
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),
+        Err(error) => Err(CannotPrint(error).into()),
     }
-    out.flush()?;
-    Ok(())
+}
+
+/// The end of a command whose exit code says how its work ended: a result that cannot be printed is only said.
+pub(crate) fn after_work(printed: anyhow::Result<()>) -> anyhow::Result<()> {
+    match printed {
+        Err(refused) if refused.is::<CannotPrint>() => {
+            note(&format!("warning: {refused}"));
+            Ok(())
+        }
+        other => other,
+    }
 }
 
 /// Prints a note for the person who waits.
 pub(crate) fn note(text: &str) {
-    let _ = writeln!(std::io::stderr(), "{text}");
+    let _ = writeln!(std::io::stderr(), "{}", shown::text(text));
 }
 
 /// Prints an error with its causes, one a line.
 pub(crate) fn error(error: &anyhow::Error) {
     let mut err = std::io::stderr().lock();
     let mut said = error.to_string();
-    let _ = writeln!(err, "error: {said}");
+    let _ = writeln!(err, "error: {}", shown::line(&said));
     for cause in error.chain().skip(1) {
         // Many errors end with their cause already.
         let cause = cause.to_string();
         if !said.ends_with(&cause) {
-            let _ = writeln!(err, "  caused by: {cause}");
+            let _ = writeln!(err, "  caused by: {}", shown::line(&cause));
             said = cause;
         }
     }
-    if let Some(hint) = error
-        .downcast_ref::<rogs_orchestrator::Error>()
-        .and_then(rogs_orchestrator::Error::hint)
-    {
-        let _ = writeln!(err, "hint: {hint}");
+    if let Some(hint) = hint(error) {
+        let _ = writeln!(err, "hint: {}", shown::line(&hint));
     }
+}
+
+/// What to do about an error, where something is known.
+fn hint(error: &anyhow::Error) -> Option<String> {
+    let known = error.downcast_ref::<rogs_orchestrator::Error>();
+    known.and_then(rogs_orchestrator::Error::hint).or_else(|| {
+        let refused = error.chain().filter_map(|cause| cause.downcast_ref::<std::io::Error>());
+        refused.filter_map(rogs_files::hint).map(str::to_owned).next()
+    })
 }
 
 /// True when whoever read our output went away, which is not an error.
@@ -57,6 +116,6 @@ pub(crate) fn is_broken_pipe(error: &anyhow::Error) -> bool {
         let json = cause
             .downcast_ref::<serde_json::Error>()
             .and_then(serde_json::Error::io_error_kind);
-        io.or(json) == Some(std::io::ErrorKind::BrokenPipe)
+        io.or(json) == Some(ErrorKind::BrokenPipe)
     })
 }

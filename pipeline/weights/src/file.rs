@@ -33,7 +33,7 @@ impl TensorFile {
             path: path.to_owned(),
             reason,
         };
-        let file = File::open(path).map_err(io)?;
+        let file = rogs_files::open(path).map_err(io)?;
         let map = map_read_only(&file).map_err(io)?;
         let Some(length) = map.first_chunk::<8>().map(|bytes| u64::from_le_bytes(*bytes)) else {
             return Err(bad("it is too short to be a safetensors file".into()));

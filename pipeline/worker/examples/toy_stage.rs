@@ -79,8 +79,8 @@ impl Stage for Toy {
             "silent" => return Ok(()),
             "abort" => std::process::abort(),
             "litter" => {
-                let litter = path.with_file_name(format!(".out.r4c.{}.tmp", std::process::id()));
-                std::fs::write(litter, "half").map_err(|error| StageError::io(error.to_string()))?;
+                let litter = rogs_files::Draft::begin(&path.with_file_name("out.r4c"));
+                std::mem::forget(litter.map_err(|error| StageError::io(error.to_string()))?);
                 return Err(StageError::io("no more disk"));
             }
             _ => {}

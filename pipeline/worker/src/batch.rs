@@ -42,10 +42,15 @@ struct Counts {
     temporary: usize,
 }
 
-/// Runs the units of a shard that belong to this stage and are not up to date.
-pub(crate) fn batch<S: Stage>(arguments: &BatchArguments) -> StageResult<ExitCode> {
+/// Runs the units of a shard that belong to this stage and are not up to date. `begin` prepares the process, after it
+/// hears signals.
+pub(crate) fn batch<S: Stage>(
+    arguments: &BatchArguments,
+    begin: impl FnOnce() -> StageResult<()>,
+) -> StageResult<ExitCode> {
     let shard = shard_index(&arguments.shard)?;
     drain_on_signals(arguments.grace).map_err(|error| StageError::io(format!("cannot handle signals: {error}")))?;
+    begin()?;
     let units = read_units(&arguments.plan, S::NAME, shard, arguments.shards)?;
     let mut runner = Runner::<S>::new();
     let mut counts = Counts::default();
@@ -89,10 +94,11 @@ pub(crate) fn batch<S: Stage>(arguments: &BatchArguments) -> StageResult<ExitCod
 
 fn run_unit<S: Stage>(runner: &mut Runner<S>, unit: &PlannedUnit, counts: &mut Counts) {
     let job = &unit.job;
-    let made = job.output.parent().map_or(Ok(()), std::fs::create_dir_all);
-    let made =
-        made.map_err(|error| StageError::io(format!("cannot make the folder of `{}`: {error}", job.output.display())));
+    let made = job.output.parent().map_or(Ok(()), |folder| {
+        rogs_files::make_folder_below(&unit.run, folder).map_err(|error| rogs_r4c::Error::from(error).into())
+    });
     let result = made.and_then(|()| runner.run(job, &mut |_, _| {}));
+    let result = result.map_err(|error| damaged_input::<S>(unit).unwrap_or(error));
     let mut attempt = Attempt {
         unix_ms: ledger::now_ms(),
         clip_id: job.clip_id.clone(),
@@ -132,12 +138,30 @@ fn run_unit<S: Stage>(runner: &mut Runner<S>, unit: &PlannedUnit, counts: &mut C
             attempt.failure = Some(Failure { code, message, hint });
         }
     }
-    for file in ledger::files_of(&unit.run, &attempt) {
-        // Records are for people; the output counts without them.
-        if let Err(error) = ledger::append(&file, &attempt) {
-            crate::message!("warning: {error}");
+    // Records are for people; the output counts without them.
+    if let Err(error) = ledger::note(&unit.run, &attempt) {
+        crate::message!("warning: {}", StageError::from(error));
+    }
+}
+
+/// The failure of a unit one of whose inputs is a damaged output of a stage before: that is removed, so that it is made
+/// again by whoever hands out the work. `None` when all are whole or cannot be read.
+fn damaged_input<S: Stage>(unit: &PlannedUnit) -> Option<StageError> {
+    let records = S::inputs().into_iter().filter(InputDescription::is_record);
+    let own = records.filter_map(|input| unit.job.inputs.get(&input.role));
+    let own = own.filter(|path| path.starts_with(&unit.run));
+    let mut removed = None;
+    for path in own {
+        match rogs_r4c::verify(path) {
+            Ok(_) | Err(rogs_r4c::Error::Io { .. }) => {}
+            Err(why) if rogs_files::remove_below(&unit.run, path).is_ok() => removed = Some(StageError::from(why)),
+            Err(_) => {}
         }
     }
+    removed.map(|why| {
+        StageError::io(format!("{}; it was removed", why.message))
+            .with_hint("submit or run again: it is made again, then this")
+    })
 }
 
 /// The output of a stage before that is not there: that stage failed on the clip, or has not run.
@@ -176,7 +200,7 @@ fn shard_index(text: &str) -> StageResult<u32> {
 
 fn read_units(plan: &Path, stage: &str, shard: u32, shards: Option<u32>) -> StageResult<Vec<PlannedUnit>> {
     let wrong = |line: usize, why: String| StageError::bad_params(format!("`{}` line {line}: {why}", plan.display()));
-    let file = std::fs::File::open(plan).map_err(|error| wrong(0, error.to_string()))?;
+    let file = rogs_files::open(plan).map_err(|error| wrong(0, error.to_string()))?;
     let mut units = Vec::new();
     for (index, line) in BufReader::new(file).lines().enumerate() {
         let line = line.map_err(|error| wrong(index + 1, error.to_string()))?;

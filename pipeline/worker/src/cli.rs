@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use rogs_schemas::ClipId;
-use rogs_schemas::protocol::InputDescription;
+use rogs_schemas::protocol::{InputDescription, LONGEST_GRACE, MOST_THREADS};
 
 use crate::batch::{BatchArguments, batch};
 use crate::describe::describe;
@@ -60,17 +60,14 @@ fn dispatch<S: Stage>(matches: &ArgMatches) -> StageResult<ExitCode> {
             Ok(one::<S>(&arguments))
         }
         Some(("worker", matches)) => {
-            set_threads(matches)?;
-            if matches
-                .get_one::<u32>("parent")
-                .is_some_and(|&parent| !sys::die_with_parent(parent))
-            {
+            // The worker hears of its parent's end before it does anything that takes time.
+            let parent = matches.get_one::<u32>("parent").copied();
+            if parent.is_some_and(|parent| !sys::die_with_parent(parent)) {
                 return Ok(ExitCode::from(EXIT_TEMPORARY));
             }
-            Ok(serve::<S>(grace(matches)))
+            Ok(serve::<S>(grace(matches), parent, || set_threads(matches)))
         }
         Some(("batch", matches)) => {
-            set_threads(matches)?;
             let arguments = BatchArguments {
                 plan: matches.get_one::<PathBuf>("plan").cloned().unwrap_or_default(),
                 shard: matches.get_one::<String>("shard-index").cloned().unwrap_or_default(),
@@ -78,13 +75,13 @@ fn dispatch<S: Stage>(matches: &ArgMatches) -> StageResult<ExitCode> {
                 grace: grace(matches),
                 keep_going: matches.get_flag("keep-going"),
             };
-            batch::<S>(&arguments)
+            batch::<S>(&arguments, || set_threads(matches))
         }
         Some(("describe", matches)) => {
             let description = describe::<S>(&params_of(matches)?)?;
             let text = serde_json::to_string_pretty(&description)
                 .map_err(|error| StageError::internal(format!("the description is not JSON: {error}")))?;
-            crate::answer!("{text}");
+            crate::answer!("{text}").map_err(|error| StageError::io(format!("cannot print the answer: {error}")))?;
             Ok(ExitCode::from(EXIT_OK))
         }
         _ => Err(StageError::bad_params("no such command")),
@@ -102,7 +99,21 @@ fn params_of(matches: &ArgMatches) -> StageResult<serde_json::Value> {
 }
 
 fn grace(matches: &ArgMatches) -> Duration {
-    Duration::from_secs_f64(matches.get_one::<f64>("grace").copied().unwrap_or(5.0).clamp(0.0, 1e6))
+    Duration::from_secs_f64(matches.get_one::<f64>("grace").copied().unwrap_or(5.0))
+}
+
+/// A number of threads that a machine can have; 0: one per core.
+fn count_of_threads(text: &str) -> Result<usize, String> {
+    let count = text.parse().ok().filter(|&count| count <= MOST_THREADS);
+    count.ok_or_else(|| format!("expected at most {MOST_THREADS} threads"))
+}
+
+fn seconds_of_grace(text: &str) -> Result<f64, String> {
+    let seconds = text
+        .parse()
+        .ok()
+        .filter(|seconds| (0.0..=LONGEST_GRACE).contains(seconds));
+    seconds.ok_or_else(|| format!("expected 0 to {LONGEST_GRACE} seconds"))
 }
 
 fn set_threads(matches: &ArgMatches) -> StageResult<()> {
@@ -117,12 +128,12 @@ fn command<S: Stage>() -> Command {
     let threads = Arg::new("threads")
         .long("threads")
         .value_name("N")
-        .value_parser(value_parser!(usize))
+        .value_parser(count_of_threads)
         .help("Threads for computation [default: one per core]; results do not depend on it");
     let grace = Arg::new("grace")
         .long("grace")
         .value_name("SECONDS")
-        .value_parser(value_parser!(f64))
+        .value_parser(seconds_of_grace)
         .help("On SIGTERM, how long the clip in hand may still take before it is given up [default: 5]");
     let params = Arg::new("params")
         .long("params")

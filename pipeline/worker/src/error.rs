@@ -70,7 +70,7 @@ impl StageError {
 impl From<rogs_r4c::Error> for StageError {
     fn from(error: rogs_r4c::Error) -> Self {
         let (code, hint) = match &error {
-            rogs_r4c::Error::Io { source, .. } => classify_io(source),
+            rogs_r4c::Error::Io { source, .. } => (class_of(source), rogs_files::hint(source)),
             _ => (FailureCode::BadInput, None),
         };
         let mut message = error.to_string();
@@ -87,30 +87,18 @@ impl From<rogs_r4c::Error> for StageError {
     }
 }
 
-/// Class and hint of an error of the operating system.
-fn classify_io(error: &std::io::Error) -> (FailureCode, Option<&'static str>) {
+/// Class of an error of the operating system.
+fn class_of(error: &std::io::Error) -> FailureCode {
     match error.kind() {
-        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => (
-            FailureCode::Resource,
-            Some("free some space on the disk of the run folder, then run again"),
-        ),
-        ErrorKind::FileTooLarge => (
-            FailureCode::Resource,
-            Some("raise the limit on file sizes (`ulimit -f`)"),
-        ),
-        ErrorKind::OutOfMemory => (
-            FailureCode::Resource,
-            Some("use fewer workers or a machine with more memory"),
-        ),
-        ErrorKind::NotFound => (FailureCode::BadInput, None),
-        ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => (
-            FailureCode::BadInput,
-            Some("check the permissions of the file and of its folder"),
-        ),
-        _ if matches!(Errno::from_io_error(error), Some(Errno::MFILE | Errno::NFILE)) => (
-            FailureCode::Resource,
-            Some("too many open files: use fewer workers or raise `ulimit -n`"),
-        ),
-        _ => (FailureCode::Io, None),
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge | ErrorKind::OutOfMemory => {
+            FailureCode::Resource
+        }
+        ErrorKind::NotFound
+        | ErrorKind::PermissionDenied
+        | ErrorKind::ReadOnlyFilesystem
+        | ErrorKind::InvalidInput
+        | ErrorKind::IsADirectory => FailureCode::BadInput,
+        _ if matches!(Errno::from_io_error(error), Some(Errno::MFILE | Errno::NFILE)) => FailureCode::Resource,
+        _ => FailureCode::Io,
     }
 }

@@ -1,9 +1,9 @@
 //! Running one job: checks before, the stage inside a panic barrier, checks after.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
-use std::ffi::OsStr;
 use std::panic::AssertUnwindSafe;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::{Mutex, Once, PoisonError};
 use std::time::{Instant, SystemTime};
 
@@ -58,7 +58,7 @@ impl<S: Stage> Runner<S> {
         let params = check::<S>(job)?;
         *lock(&CURRENT) = Some(job.output.clone());
         let result = self.guarded(job, &params, progress);
-        remove_temporaries(&job.output);
+        rogs_files::remove_own(&job.output);
         *lock(&CURRENT) = None;
         let mut report = result?;
         report.seconds.insert("total".to_owned(), start.elapsed().as_secs_f64());
@@ -206,27 +206,26 @@ fn source_stamps<S: Stage>(job: &Job) -> BTreeMap<String, Stamp> {
     sources.map(|(role, path)| (role.clone(), stamp(path))).collect()
 }
 
-/// Removes what this process may have left beside an output while writing it.
-fn remove_temporaries(output: &Path) {
-    let (Some(folder), Some(name)) = (output.parent(), output.file_name().and_then(OsStr::to_str)) else {
-        return;
-    };
-    let (start, own) = (format!(".{name}."), std::process::id().to_string());
-    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
-        let file = entry.file_name();
-        let file = file.to_string_lossy();
-        let middle = file.strip_prefix(&start).and_then(|rest| rest.strip_suffix(".tmp"));
-        if middle.is_some_and(|middle| middle.split(['.', '-']).any(|part| part == own)) {
-            let _ = std::fs::remove_file(entry.path());
-        }
-    }
-}
-
 /// Gives up the job in hand: removes its temporary file. The process must exit right after.
 pub(crate) fn abandon() {
     if let Some(output) = lock(&CURRENT).as_ref() {
-        remove_temporaries(output);
+        rogs_files::remove_own(output);
     }
+}
+
+thread_local! {
+    /// Set while a panic of this thread is the answer to a question, and no bug of ours.
+    static QUIET: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Runs a reader of somebody else that panics on some damaged input; `None` when it does, and nothing is printed. Only for
+/// work on the calling thread.
+pub fn quietly<T>(work: impl FnOnce() -> T + std::panic::UnwindSafe) -> Option<T> {
+    remember_panics();
+    QUIET.set(true);
+    let result = std::panic::catch_unwind(work);
+    QUIET.set(false);
+    result.ok()
 }
 
 /// Keeps the message and place of panics for the `failed` event; the usual report on stderr stays.
@@ -235,6 +234,9 @@ fn remember_panics() {
     ONCE.call_once(|| {
         let usual = std::panic::take_hook();
         std::panic::set_hook(Box::new(move |info| {
+            if QUIET.get() {
+                return;
+            }
             let payload = info.payload();
             let text = payload
                 .downcast_ref::<&str>()

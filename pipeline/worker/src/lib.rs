@@ -33,6 +33,7 @@ pub use context::Context;
 pub use describe::describe;
 pub use error::{StageError, StageResult};
 pub use exit::{EXIT_FAILED, EXIT_OK, EXIT_TEMPORARY, EXIT_USAGE};
+pub use job::quietly;
 pub use observer::{Observer, Part, Unobserved};
 pub use params::parse_params;
 pub use stage::Stage;

@@ -1,7 +1,7 @@
 //! The face `one`: a person runs a stage on one clip by hand.
 
 use std::collections::BTreeMap;
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -152,8 +152,7 @@ impl ProgressLine {
         self.last = Some(Instant::now());
         let percent = 100.0 * fraction.clamp(0.0, 1.0);
         if self.terminal {
-            crate::console::print_progress(format_args!("\r\x1b[K{} {percent:3.0} % {message}", self.stage));
-            let _ = std::io::stderr().flush();
+            crate::console::print_progress(format_args!("{} {percent:3.0} % {message}", self.stage));
             self.shown = true;
         } else {
             crate::message!("{} {percent:3.0} % {message}", self.stage);
@@ -162,7 +161,7 @@ impl ProgressLine {
 
     fn clear(&mut self) {
         if self.shown {
-            crate::console::print_progress(format_args!("\r\x1b[K"));
+            crate::console::print_progress(format_args!(""));
         }
     }
 }

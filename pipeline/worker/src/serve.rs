@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 use rogs_schemas::protocol::{Event, Job};
 use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
 
-use crate::error::StageError;
-use crate::exit::{EXIT_OK, EXIT_TEMPORARY, EXIT_USAGE};
+use crate::error::{StageError, StageResult};
+use crate::exit::{EXIT_OK, EXIT_TEMPORARY, EXIT_USAGE, print_error};
 use crate::job::{self, Runner};
 use crate::stage::Stage;
 use crate::sys::{self, Termination};
@@ -53,19 +53,54 @@ impl Drop for InHand {
 /// when no job is in hand.
 pub(crate) fn drain_on_signals(grace: Duration) -> std::io::Result<Termination> {
     Termination::watch(&[SIGTERM, SIGUSR1, SIGINT], move || {
-        DRAINING.store(true, Ordering::SeqCst);
-        let until = Instant::now() + grace;
-        while IN_HAND.load(Ordering::SeqCst) && Instant::now() < until {
-            std::thread::sleep(Duration::from_millis(20));
-        }
-        job::abandon();
-        std::process::exit(i32::from(EXIT_TEMPORARY));
+        drain(grace);
+        leave();
     })
 }
 
-/// Serves jobs until the end of stdin.
-pub(crate) fn serve<S: Stage>(grace: Duration) -> ExitCode {
-    let set_up = sys::take_stdout().and_then(|events| Ok((Mutex::new(events), drain_on_signals(grace)?)));
+/// Gives up the job in hand and ends the process, whatever its other threads are doing.
+fn leave() -> ! {
+    job::abandon();
+    // Without running anything else, which might wait for one of them.
+    signal_hook::low_level::exit(i32::from(EXIT_TEMPORARY))
+}
+
+/// Ends the process as a signal does when `parent` is gone. The system says so by a signal where it can; this is for the
+/// others, and for a signal that came before it was waited for.
+fn watch_parent(parent: u32, grace: Duration) -> std::io::Result<()> {
+    let watch = move || {
+        while std::os::unix::process::parent_id() == parent {
+            std::thread::sleep(Duration::from_millis(500));
+        }
+        drain(grace);
+        leave();
+    };
+    std::thread::Builder::new()
+        .name("parent".into())
+        .spawn(watch)
+        .map(|_| ())
+}
+
+/// Begins no further job and waits until the one in hand has ended, for `grace` at most.
+fn drain(grace: Duration) {
+    DRAINING.store(true, Ordering::SeqCst);
+    let until = Instant::now() + grace;
+    while IN_HAND.load(Ordering::SeqCst) && Instant::now() < until {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// Serves jobs until the end of stdin, or until `parent` is gone. `begin` prepares the process, after it hears signals.
+pub(crate) fn serve<S: Stage>(
+    grace: Duration,
+    parent: Option<u32>,
+    begin: impl FnOnce() -> StageResult<()>,
+) -> ExitCode {
+    let set_up = sys::take_stdout().and_then(|events| {
+        let termination = drain_on_signals(grace)?;
+        parent.map_or(Ok(()), |parent| watch_parent(parent, grace))?;
+        Ok((Mutex::new(events), termination))
+    });
     let (events, termination) = match set_up {
         Ok(set_up) => set_up,
         Err(error) => {
@@ -73,6 +108,10 @@ pub(crate) fn serve<S: Stage>(grace: Duration) -> ExitCode {
             return ExitCode::from(EXIT_USAGE);
         }
     };
+    if let Err(error) = begin() {
+        print_error(&error);
+        return ExitCode::from(EXIT_USAGE);
+    }
     let ready = Event::Ready {
         stage: S::NAME.to_owned(),
         stage_version: S::VERSION,

@@ -313,6 +313,96 @@ fn termination_gives_up_the_clip_in_hand_and_exits_75() {
 }
 
 #[test]
+fn a_worker_whose_parent_is_gone_ends_within_its_grace_whatever_it_is_doing() {
+    let folder = Folder::new();
+    let (jobs, events) = (folder.path("jobs"), folder.path("events"));
+    assert!(Command::new("mkfifo").arg(&jobs).status().unwrap().success());
+    let script = r#""$1" worker --parent $$ --grace 0.2 <"$2" >"$3" 2>/dev/null & echo $!; wait"#;
+    let mut parent = Command::new("sh")
+        .args(["-c", script, "sh"])
+        .args([&program(), &jobs, &events])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // Held open to the end: the worker learns nothing from the end of its jobs.
+    let mut sender = std::fs::File::options().read(true).write(true).open(&jobs).unwrap();
+    let mut line = String::new();
+    BufReader::new(parent.stdout.take().unwrap())
+        .read_line(&mut line)
+        .unwrap();
+    let mut job = folder.job(1, "slow");
+    job.params = json!({"sleep": 300.0});
+    job.material.params = json!({"repeat": 1, "sleep": 300.0}).to_string();
+    job.key = job.material.key();
+    writeln!(sender, "{}", serde_json::to_string(&job).unwrap()).unwrap();
+    let wait_until = |happened: &dyn Fn() -> bool, what: &str| {
+        let begin = std::time::Instant::now();
+        while !happened() {
+            assert!(begin.elapsed().as_secs() < 100, "waited in vain for {what}");
+            std::thread::sleep(std::time::Duration::from_millis(10));
+        }
+    };
+    let begun = || std::fs::read_to_string(&events).unwrap_or_default().contains("started");
+    wait_until(&begun, "the job to begin");
+    parent.kill().unwrap();
+    parent.wait().unwrap();
+    // Whoever inherits the process may not have taken note of its end.
+    let ended = || match std::fs::read_to_string(format!("/proc/{}/stat", line.trim())) {
+        Ok(stat) => stat.contains(") Z "),
+        Err(_) => true,
+    };
+    wait_until(&ended, "the worker to end");
+}
+
+#[test]
+fn numbers_that_no_machine_has_are_refused() {
+    for arguments in [
+        ["worker", "--threads", "100000000"],
+        ["worker", "--threads", "18446744073709551615"],
+        ["worker", "--grace", "nan"],
+        ["worker", "--grace", "inf"],
+        ["worker", "--grace", "-1"],
+        ["batch", "--grace", "1e300"],
+    ] {
+        let output = Command::new(program()).args(arguments).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {said}");
+        assert!(!said.contains("panicked"), "{said}");
+    }
+}
+
+#[test]
+fn a_stage_program_whose_messages_nobody_can_read_ends_as_ever() {
+    let folder = Folder::new();
+    let run = |text: &str, streams: &str| {
+        let source = folder.text("source", text);
+        let script = format!("exec \"$1\" one --source \"$2\" --out \"$3\" {streams}");
+        Command::new("sh")
+            .args(["-c", &script, "sh"])
+            .args([&program(), &source, &folder.path("out.r4c")])
+            .status()
+            .unwrap()
+            .code()
+    };
+    // What the stage itself prints to standard output is its own business.
+    for streams in ["2>/dev/full", "2>&-"] {
+        assert_eq!(run("good", streams), Some(0), "{streams}");
+        assert_eq!(run("fail", streams), Some(1), "{streams}");
+    }
+    let describe = Command::new("sh")
+        .args(["-c", "exec \"$1\" describe >/dev/full", "sh"])
+        .arg(program())
+        .output()
+        .unwrap();
+    assert_eq!(describe.status.code(), Some(2));
+    assert!(
+        stderr(&describe).contains("cannot print the answer"),
+        "{}",
+        stderr(&describe)
+    );
+}
+
+#[test]
 fn a_dead_worker_leaves_no_event_behind() {
     let folder = Folder::new();
     let mut worker = Worker::start();

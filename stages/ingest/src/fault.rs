@@ -1,5 +1,6 @@
 //! How a wrong input is reported, and the paths and small files that every reader goes through.
 
+use std::io::Read as _;
 use std::path::{Component, Path, PathBuf};
 
 use rogs_arrays::Problem;
@@ -12,26 +13,25 @@ pub(crate) fn wrong(path: &Path, what: impl std::fmt::Display) -> StageError {
 
 /// The text of a small file.
 pub(crate) fn read_text(path: &Path, limit: u64) -> StageResult<String> {
-    let metadata = std::fs::metadata(path).map_err(|error| io_error(path, &error))?;
-    // Pipes are waited for and devices do not end.
-    if !metadata.is_file() {
-        return Err(wrong(path, "it is no plain file"));
-    }
-    let length = metadata.len();
+    let file = rogs_files::open(path).map_err(|error| io_error(path, &error))?;
+    let length = file.metadata().map_err(|error| io_error(path, &error))?.len();
     if length > limit {
         return Err(wrong(
             path,
             format!("{length} bytes are more than the {limit} that such a file may have"),
         ));
     }
-    std::fs::read_to_string(path).map_err(|error| io_error(path, &error))
+    let mut text = String::new();
+    let read = file.take(limit).read_to_string(&mut text);
+    read.map(|_| text).map_err(|error| io_error(path, &error))
 }
 
 /// An error of the operating system about a file.
 pub(crate) fn io_error(path: &Path, error: &std::io::Error) -> StageError {
     match error.kind() {
         std::io::ErrorKind::NotFound => wrong(path, "the file is missing"),
-        std::io::ErrorKind::InvalidData => wrong(path, error),
+        // It is not UTF-8, or no file at all.
+        std::io::ErrorKind::InvalidData | std::io::ErrorKind::InvalidInput => wrong(path, error),
         _ => StageError::io(format!("reading `{}`: {error}", path.display())),
     }
 }

@@ -33,6 +33,7 @@ use rogs_schemas::ClipId;
 use rogs_schemas::SchemaId;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::Clip;
+use rogs_schemas::shown;
 use rogs_worker::{Context, Stage, StageError, StageResult};
 
 pub use crate::params::{DroidParams, IdleSteps};
@@ -181,10 +182,7 @@ pub fn list_main(arguments: &[std::ffi::OsString]) -> Option<std::process::ExitC
         }),
     };
     Some(match lines {
-        Ok(lines) => {
-            lines.iter().for_each(|line| rogs_worker::answer!("{line}"));
-            ExitCode::SUCCESS
-        }
+        Ok(lines) => printed(lines.iter().try_for_each(|line| rogs_worker::answer!("{line}"))),
         Err(error) => {
             rogs_worker::message!("error: {error}");
             error.hint.iter().for_each(|hint| rogs_worker::message!("hint: {hint}"));
@@ -209,12 +207,25 @@ fn episode_line(episode: &EpisodeListing) -> String {
         selector,
         ..
     } = episode;
-    format!("{episode_id}\t{layout}\t{folder}\t{selector}")
+    [episode_id, layout, folder, selector]
+        .map(|field| shown::line(field))
+        .join("\t")
 }
 
 fn reference_lines((uuid, files): (&String, &BTreeMap<String, String>)) -> Vec<String> {
     files
         .iter()
-        .map(|(role, file)| format!("{uuid}\t{role}\t{file}"))
+        .map(|(role, file)| [uuid, role, file].map(|field| shown::line(field)).join("\t"))
         .collect()
+}
+
+/// The exit code of a list that was, or could not be, printed.
+fn printed(outcome: std::io::Result<()>) -> std::process::ExitCode {
+    match outcome {
+        Ok(()) => std::process::ExitCode::SUCCESS,
+        Err(error) => {
+            rogs_worker::message!("error: cannot print the list: {error}");
+            std::process::ExitCode::FAILURE
+        }
+    }
 }

@@ -51,7 +51,8 @@ struct SideData {
 
 /// Reads a video file's header and counts its frames.
 pub(crate) fn probe(path: &Path) -> StageResult<VideoInfo> {
-    std::fs::metadata(path).map_err(|error| io_error(path, &error))?;
+    // Not a pipe, nor a device.
+    rogs_files::open(path).map_err(|error| io_error(path, &error))?;
     let mut command = Command::new("ffprobe");
     command.args([
         "-v",

@@ -265,7 +265,7 @@ fn read_bounded(path: &Path) -> Result<Vec<u8>, CohortError> {
         path: path.to_owned(),
         source,
     };
-    let file = std::fs::File::open(path).map_err(read)?;
+    let file = rogs_files::open(path).map_err(read)?;
     let mut bytes = Vec::new();
     file.take(MAX_MANIFEST_BYTES + 1)
         .read_to_end(&mut bytes)

@@ -3,7 +3,8 @@
 
 use std::path::{Path, PathBuf};
 
-use rogs_arrays::{Array, ArrayFile, FlatExr, Problem, Values};
+use image::ImageDecoder as _;
+use rogs_arrays::{Array, ArrayFile, FlatExr, Problem, Values, within_budget};
 
 use crate::metrics::Pixels;
 
@@ -131,19 +132,37 @@ fn read_image(path: &Path) -> Result<Picture, PictureError> {
         path: path.to_owned(),
         source,
     };
-    let mut reader = image::ImageReader::open(path)
-        .map_err(read)?
+    let file = rogs_files::open(path).map_err(read)?;
+    let length = file.metadata().map_err(read)?.len();
+    let mut reader = image::ImageReader::new(std::io::BufReader::new(file))
         .with_guessed_format()
         .map_err(read)?;
+    let progressive = if reader.format() == Some(image::ImageFormat::Jpeg) {
+        6
+    } else {
+        0
+    };
     let mut limits = image::Limits::default();
     limits.max_image_width = Some(MAX_SIDE as u32);
     limits.max_image_height = Some(MAX_SIDE as u32);
     limits.max_alloc = Some(MAX_IMAGE_BYTES);
     reader.limits(limits);
-    let image = reader.decode().map_err(|source| PictureError::Image {
+    let unreadable = |source| PictureError::Image {
         path: path.to_owned(),
         source,
-    })?;
+    };
+    let decoder = reader.into_decoder().map_err(unreadable)?;
+    let (width, height) = decoder.dimensions();
+    let (bytes, channels) = (
+        decoder.color_type().bytes_per_pixel(),
+        decoder.color_type().channel_count(),
+    );
+    // The pixels as the file has them, and as three numbers of one or four bytes; of a JPEG its coefficients, too.
+    let own = if bytes == channels { 3 } else { 12 };
+    let a_pixel = u64::from(bytes) + own + progressive;
+    let needed = (u64::from(width) * u64::from(height)).saturating_mul(a_pixel);
+    within_budget(path, length, needed, "is it an image?")?;
+    let image = image::DynamicImage::from_decoder(decoder).map_err(unreadable)?;
     let (height, width) = (image.height() as usize, image.width() as usize);
     let channels = usize::from(image.color().channel_count()).max(1);
     let content = if usize::from(image.color().bytes_per_pixel()) == channels {

@@ -127,6 +127,14 @@ impl Scene<'_> {
         }
     }
 
+    /// Cameras of image predictions with colours or depths that are not finite, and how many.
+    pub(crate) fn undefined(&self) -> Vec<(&str, usize)> {
+        match &self.predictions {
+            Predictions::Images(images) => images.undefined(),
+            Predictions::Field(_) => Vec::new(),
+        }
+    }
+
     /// Displacement errors from the tracks' anchor time to every other query time. One render a source camera carries
     /// the displacements to all times as further channels. Empty when the clip has no tracks.
     pub(crate) fn displacements(&self) -> StageResult<Displacements> {

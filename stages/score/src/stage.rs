@@ -259,6 +259,18 @@ impl Score {
         if let Some(note) = note {
             context.warn(format!("`{}` has no displacement error: {note}", sheet.method));
         }
+        if sheet.invalid_gaussians > 0 {
+            context.warn(format!(
+                "`{}`: {} Gaussians have values that are not finite; they are scored as if they were not there",
+                sheet.method, sheet.invalid_gaussians
+            ));
+        }
+        for (camera, count) in scene.undefined() {
+            context.warn(format!(
+                "`{}`: {count} values of camera `{camera}` are not finite; they are scored as 0",
+                sheet.method
+            ));
+        }
         if sheet
             .images
             .iter()

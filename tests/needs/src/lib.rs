@@ -24,6 +24,7 @@
 //! | `libx264` | an `ffmpeg` that encodes H.264 |
 //! | `numpy`, `pillow`, `opencv`, `zstandard` | the package of `ROGS_PEER_PYTHON` (else `python3`) |
 //! | `bash` | the shell |
+//! | `cc` | a C compiler |
 //! | `mount` | the right to mount a file system |
 //! | `slurm` | root, and the programs of Slurm and munge |
 //! | `long = "why"` | time: `ROGS_LONG_TESTS=1` |

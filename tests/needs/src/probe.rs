@@ -26,6 +26,7 @@ pub(crate) fn missing(need: &str, why: &str) -> Result<Option<String>, String> {
         "pillow" => unless(imports("PIL"), "needs Python with Pillow (ROGS_PEER_PYTHON)"),
         "opencv" => unless(imports("cv2"), "needs Python with OpenCV (ROGS_PEER_PYTHON)"),
         "zstandard" => unless(imports("zstandard"), "needs Python with zstandard (ROGS_PEER_PYTHON)"),
+        "cc" => unless(on_path("cc"), "needs a C compiler (cc)"),
         "bash" => unless(on_path("bash"), "needs bash"),
         // A mount namespace takes the same right as a mount, and leaves nothing behind.
         "mount" => unless(succeeds("unshare", &["--mount", "true"]), "needs the right to mount"),

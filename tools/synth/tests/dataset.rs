@@ -62,6 +62,9 @@ fn bytes_do_not_depend_on_threads_or_on_an_interruption() {
     let half = again.join(EPISODES_FOLDER).join(".synth-00000041.4294967295.tmp");
     std::fs::create_dir_all(half.join("wrist")).unwrap();
     std::fs::write(half.join("wrist/000099.png"), b"half").unwrap();
+    // Of a writer elsewhere, so long ago that it is gone.
+    let long_ago = std::time::UNIX_EPOCH + std::time::Duration::from_secs(1);
+    std::fs::File::open(&half).unwrap().set_modified(long_ago).unwrap();
     let summary = with_threads(2, || write_dataset(&again, 2, 40, &tiny())).unwrap();
     assert_eq!((summary.written, summary.episodes.len()), (1, 2));
     let expected = contents(&one);

@@ -10,7 +10,7 @@ mod slot;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use rogs_schemas::ClipId;
+use rogs_schemas::{ClipId, shown};
 use serde::Serialize;
 
 pub use progress::ProgressMode;
@@ -160,8 +160,8 @@ impl UnitFailure {
         let hint = self
             .hint
             .as_ref()
-            .map(|hint| format!("\n  hint: {hint}"))
+            .map(|hint| format!("\n  hint: {}", shown::line(hint)))
             .unwrap_or_default();
-        format!("{} {}: {}{hint}", self.clip, self.node, self.message)
+        format!("{} {}: {}{hint}", self.clip, self.node, shown::line(&self.message))
     }
 }

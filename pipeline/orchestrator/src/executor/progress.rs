@@ -1,10 +1,10 @@
 //! What a person sees on stderr during a run: bars on a terminal, one line a unit elsewhere.
-#![allow(clippy::print_stderr, reason = "the one place that shows progress and warnings of a run")]
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write as _};
 use std::time::Duration;
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use rogs_schemas::shown;
 
 use super::UnitFailure;
 
@@ -59,10 +59,23 @@ impl Display {
         }
     }
 
+    /// Whoever reads standard error may be gone, or its disk full: that is nothing to the run.
     fn line(&self, text: &str) {
+        let text = shown::text(text);
+        let print = || {
+            let _ = writeln!(std::io::stderr(), "{text}");
+        };
         match &self.bars {
-            Some(bars) => bars.all.suspend(|| eprintln!("{text}")),
-            None => eprintln!("{text}"),
+            Some(bars) => bars.all.suspend(print),
+            None => print(),
+        }
+    }
+
+    /// More units are to be made than was thought.
+    pub(super) fn more(&mut self, units: usize) {
+        self.todo += units;
+        if let Some(bars) = &self.bars {
+            bars.total.set_length(self.todo as u64);
         }
     }
 
@@ -79,7 +92,7 @@ impl Display {
     pub(super) fn progress(&self, slot: usize, fraction: f64, message: &str) {
         if let Some(bar) = self.bars.as_ref().and_then(|bars| bars.slots.get(slot)) {
             bar.set_position((fraction.clamp(0.0, 1.0) * 1000.0) as u64);
-            bar.set_message(message.to_owned());
+            bar.set_message(shown::line(message).into_owned());
         }
     }
 
@@ -115,7 +128,7 @@ impl Display {
 
     pub(super) fn warn(&self, text: &str) {
         if matches!(self.mode, ProgressMode::Bars | ProgressMode::Lines) {
-            self.line(&format!("warning: {text}"));
+            self.line(&format!("warning: {}", shown::line(text)));
         }
     }
 

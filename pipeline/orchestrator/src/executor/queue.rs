@@ -138,6 +138,32 @@ impl<'a> Queue<'a> {
         }
     }
 
+    /// The outputs of these nodes of a unit's clip are gone: they are made again first, then the unit and whatever else
+    /// reads them and waits. Returns how many that were done are to be made again.
+    pub(super) fn again_after(&mut self, unit: WorkUnit, lost: &[usize]) -> usize {
+        let mut more = 0;
+        self.set(unit, Standing::Waiting);
+        for &node in lost {
+            let here = WorkUnit { node, ..unit };
+            if matches!(self.standing(here), Standing::UpToDate | Standing::Made) {
+                self.set(here, Standing::Waiting);
+                more += 1;
+            }
+        }
+        // What was ready is not any more where it reads one of them; it becomes ready again when that is made.
+        for (node, ready) in self.ready.iter_mut().enumerate() {
+            if lost.contains(&node) || self.plan.upstream(node).any(|upstream| lost.contains(&upstream)) {
+                ready.retain(|&clip| clip != unit.clip);
+            }
+        }
+        self.alone
+            .retain(|waiting| waiting.clip != unit.clip || waiting.node != unit.node);
+        for &node in lost {
+            self.push_if_ready(WorkUnit { node, ..unit });
+        }
+        more
+    }
+
     /// A unit was stopped and stays to be done.
     pub(super) fn stopped(&mut self, unit: WorkUnit) {
         self.set(unit, Standing::Waiting);

@@ -19,11 +19,14 @@ use crate::ledger::{Ledger, read_costs};
 use crate::lock::RunLock;
 use crate::plan::{Plan, WorkUnit};
 use crate::stage::StageId;
-use crate::state::{OutputState, output_state};
+use crate::state::{OutputState, output_state, remove_damaged};
 
 /// Units of one stage that a slot takes in a row before it changes to a stage deeper in the pipeline: few enough to
 /// see whole clips early, enough that starting workers and loading weights costs nothing.
 const STREAK: usize = 16;
+
+/// An output that is damaged more often than this in one run is not made again: then the disk or the memory is at fault.
+const MOST_HEALINGS: u8 = 2;
 
 /// What a worker is expected to take before anything is known, bytes.
 const UNKNOWN_MEMORY: u64 = 512 << 20;
@@ -35,16 +38,18 @@ const UNKNOWN_MEMORY: u64 = 512 << 20;
 /// When the run folder is in use or cannot be written, or a stage program cannot be started.
 pub fn execute(plan: &Plan, options: &RunOptions) -> Result<RunSummary> {
     let start = Instant::now();
-    let _lock = RunLock::acquire(&plan.run)?;
+    let lock = RunLock::acquire(&plan.run)?;
     plan.freeze()?;
     let states = plan.checked_states();
     sweep(plan, &states)?;
+    let warnings = lock.warning().into_iter().chain(damages(plan, &states)).collect();
     let (sender, messages) = channel();
     std::thread::scope(|scope| {
         let slots = (0..options.workers)
             .map(|number| Slot::start(scope, number, options, sender.clone()))
             .collect();
         let mut schedule = Schedule::new(plan, options, &states, slots)?;
+        schedule.warn_all(warnings);
         drop(states);
         let result = schedule.run(&messages);
         // Dropping the slots ends their threads, and those their workers.
@@ -57,7 +62,8 @@ pub fn execute(plan: &Plan, options: &RunOptions) -> Result<RunSummary> {
 fn sweep(plan: &Plan, states: &[Vec<OutputState>]) -> Result<()> {
     for (clip, states) in states.iter().enumerate() {
         let folder = plan.clip_folder(clip);
-        if states.iter().all(|state| *state == OutputState::UpToDate) || !folder.is_dir() {
+        let is_folder = std::fs::symlink_metadata(&folder).is_ok_and(|found| found.is_dir());
+        if states.iter().all(|state| *state == OutputState::UpToDate) || !is_folder {
             continue;
         }
         rogs_files::sweep(&folder)?;
@@ -65,12 +71,28 @@ fn sweep(plan: &Plan, states: &[Vec<OutputState>]) -> Result<()> {
             .map_err(io("cannot list", &folder))?
             .flatten()
         {
-            if entry.path().is_dir() {
+            if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
                 rogs_files::sweep(&entry.path())?;
             }
         }
     }
     Ok(())
+}
+
+/// What is said of outputs that are found damaged before anything is made: they are made again.
+fn damages(plan: &Plan, states: &[Vec<OutputState>]) -> Vec<String> {
+    let mut said = Vec::new();
+    for (clip, states) in states.iter().enumerate() {
+        for (state, node) in states.iter().zip(&plan.nodes) {
+            if let OutputState::Damaged(why) = state {
+                said.push(format!(
+                    "{} {}: {why}; it is made again",
+                    plan.clips[clip].id, node.label
+                ));
+            }
+        }
+    }
+    said
 }
 
 struct Schedule<'a> {
@@ -83,6 +105,8 @@ struct Schedule<'a> {
     /// Units in hand by job number.
     running: HashMap<JobId, WorkUnit>,
     attempts: HashMap<WorkUnit, u8>,
+    /// How often an output was made again because it was found damaged.
+    healed: HashMap<WorkUnit, u8>,
     /// Largest peak memory by stage, bytes.
     memory: BTreeMap<StageId, u64>,
     failures: Vec<UnitFailure>,
@@ -112,6 +136,7 @@ impl<'a> Schedule<'a> {
             ledger: Ledger::new(&plan.run),
             running: HashMap::new(),
             attempts: HashMap::new(),
+            healed: HashMap::new(),
             memory,
             failures: Vec::new(),
             warnings: Vec::new(),
@@ -149,7 +174,9 @@ impl<'a> Schedule<'a> {
                     }
                 }
                 Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => return Err(Error::usage("all worker slots have ended")),
+                Err(RecvTimeoutError::Disconnected) => {
+                    return Err(Error::usage("all worker slots have ended").after_start());
+                }
             }
         }
     }
@@ -189,7 +216,7 @@ impl<'a> Schedule<'a> {
         let job = self.plan.job(JobId(self.next_job), unit, &keys);
         self.next_job += 1;
         if let Some(folder) = job.output.parent() {
-            std::fs::create_dir_all(folder).map_err(io("cannot make the folder", folder))?;
+            rogs_files::make_folder_below(&self.plan.run, folder)?;
         }
         self.running.insert(job.job, unit);
         let node = &self.plan.nodes[unit.node];
@@ -253,9 +280,59 @@ impl<'a> Schedule<'a> {
                     self.warnings.push(text);
                 }
             }
-            Outcome::Failed => self.failed(unit, attempt.failure),
+            Outcome::Failed => {
+                let code = attempt.failure.as_ref().map(|failure| failure.code);
+                if !self.heals(unit, code.unwrap_or(FailureCode::Internal))? {
+                    self.failed(unit, attempt.failure);
+                }
+            }
         }
         Ok(())
+    }
+
+    /// Says and keeps what a person should know of the run as a whole.
+    fn warn_all(&mut self, warnings: Vec<String>) {
+        for text in warnings {
+            self.display.warn(&text);
+            self.warnings.push(text);
+        }
+    }
+
+    /// Looks at what a unit that failed was made from. Outputs that are damaged are removed and made again, then the unit;
+    /// true when that is so. A payload is not read before somebody needs it, so this is where damage shows.
+    fn heals(&mut self, unit: WorkUnit, code: FailureCode) -> Result<bool> {
+        if matches!(
+            code,
+            FailureCode::BadParams | FailureCode::Resource | FailureCode::Deadline
+        ) {
+            return Ok(false);
+        }
+        let keys = self.plan.keys(unit.clip);
+        let mut lost = Vec::new();
+        for node in self.plan.upstream(unit.node) {
+            let maker = WorkUnit { node, ..unit };
+            let output = self.plan.output(maker, &keys);
+            let Some(why) = remove_damaged(&self.plan.run, &output)? else {
+                continue;
+            };
+            let healed = self.healed.entry(maker).or_default();
+            *healed += 1;
+            if *healed > MOST_HEALINGS {
+                return Ok(false);
+            }
+            lost.push((node, why));
+        }
+        let (clip, label) = (&self.plan.clips[unit.clip].id, &self.plan.nodes[unit.node].label);
+        let say = |(_, why): &(usize, String)| format!("{clip} {label}: {why}; it is made again");
+        let warnings = lost.iter().map(say).collect();
+        let lost: Vec<usize> = lost.into_iter().map(|(node, _)| node).collect();
+        if lost.is_empty() {
+            return Ok(false);
+        }
+        let more = self.queue.again_after(unit, &lost);
+        self.display.more(more);
+        self.warn_all(warnings);
+        Ok(true)
     }
 
     fn failed(&mut self, unit: WorkUnit, failure: Option<Failure>) {

@@ -2,12 +2,16 @@
 
 use std::collections::BTreeSet;
 
+use rogs_schemas::protocol::{LONGEST_GRACE, MOST_THREADS};
 use rogs_schemas::records::clip::{RECORDED, ROLLOUT};
 
-use super::{BOTH, Manifest, Setting, is_safe_name, parse_size};
+use super::{BOTH, MOST_WORKERS, Manifest, Setting, is_safe_name, parse_size};
 use crate::diagnose::{At, Text};
 use crate::error::Result;
 use crate::stage::StageId;
+
+/// Longest deadline of a unit, seconds: a year.
+const LONGEST_DEADLINE: f64 = 366.0 * 86_400.0;
 
 /// What a name may consist of, for messages.
 const CHARACTERS: &str = "use 1 to 128 letters, digits and . _ + -";
@@ -23,6 +27,13 @@ impl Manifest {
             return Err(error.with_hint("add [[episodes]] with root = \"FOLDER\", or [input] with root = \"FOLDER\""));
         }
         self.check_settings(text)?;
+        let (name, out) = (&self.run.name, self.run.out.to_string_lossy());
+        for (key, value) in [("name", name.as_str()), ("out", &*out)] {
+            if value.contains(char::is_control) {
+                let at = At::key("run").then(key);
+                return Err(text.error(at, format!("`{key}` has a line end or another control character")));
+            }
+        }
         let known = ["panda-robotiq-2f85"];
         if let Some(preset) = self.robot.preset.as_deref().filter(|preset| !known.contains(preset)) {
             let at = At::key("robot").then("preset");
@@ -151,8 +162,45 @@ impl Manifest {
         for (at, size) in all.chain(by_stage).chain(slurm) {
             parse_size(size).map_err(|why| text.error(at, why))?;
         }
-        if executor.workers == Some(0) || executor.threads == Some(0) {
-            return Err(text.error(own, "workers and threads must be at least 1"));
+        let counts = [
+            (own.clone().then("workers"), executor.workers, MOST_WORKERS),
+            (own.clone().then("threads"), executor.threads, MOST_THREADS),
+        ];
+        let slurm = [("shards", self.slurm.shards), ("at-once", self.slurm.at_once)];
+        let slurm = slurm.map(|(name, count)| {
+            (
+                At::key("slurm").then(name),
+                count.map(|count| count as usize),
+                u32::MAX as usize,
+            )
+        });
+        let cpus = self.slurm.cpus.iter().map(|(stage, &count)| {
+            let at = At::key("slurm").then("cpus").then(stage.name());
+            (at, Some(count as usize), MOST_THREADS)
+        });
+        for (at, count, most) in counts.into_iter().chain(slurm).chain(cpus) {
+            if let Some(count) = count.filter(|count| !(1..=most).contains(count)) {
+                let message = format!("invalid `{at}` {count}: expected 1 to {most}");
+                return Err(text.error(at, message));
+            }
+        }
+        let grace = executor
+            .grace
+            .map(|grace| (own.clone().then("grace"), grace, 0.0, LONGEST_GRACE));
+        let deadlines = executor.deadline.iter().map(|(stage, &seconds)| {
+            (
+                own.clone().then("deadline").then(stage.name()),
+                seconds,
+                1e-3,
+                LONGEST_DEADLINE,
+            )
+        });
+        for (at, seconds, least, most) in grace.into_iter().chain(deadlines) {
+            // NaN lies in no range.
+            if !(least..=most).contains(&seconds) {
+                let message = format!("invalid `{at}` {seconds}: expected {least} to {most} seconds");
+                return Err(text.error(at, message));
+            }
         }
         Ok(())
     }

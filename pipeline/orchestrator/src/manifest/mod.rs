@@ -21,6 +21,9 @@ pub(crate) use self::cut::Cut;
 pub use self::size::parse_size;
 use crate::stage::{StageId, WeightsRole};
 
+/// Most worker processes at a time.
+pub const MOST_WORKERS: usize = 1024;
+
 /// A table of parameters of one stage; its names are those of `rogs-STAGE describe`.
 pub type Params = Map<String, Value>;
 

@@ -14,7 +14,7 @@ const MOST_BYTES: usize = 16 << 20;
 /// The text of a manifest file.
 fn read(path: &Path) -> Result<String> {
     let mut bytes = Vec::new();
-    let file = std::fs::File::open(path).map_err(|error| match error.kind() {
+    let file = rogs_files::open(path).map_err(|error| match error.kind() {
         std::io::ErrorKind::NotFound => Error::usage(format!("there is no manifest `{}`", path.display()))
             .with_hint("name a TOML file such as those in `manifests/`, or a run folder"),
         _ => io("cannot read the manifest", path)(error),

@@ -16,7 +16,7 @@ impl Plan {
     /// # Errors
     /// When the folder cannot be made or written.
     pub fn freeze(&self) -> Result<()> {
-        std::fs::create_dir_all(&self.run).map_err(io("cannot make the run folder", &self.run))?;
+        rogs_files::make_folder_below(&self.run, &self.run)?;
         rogs_files::write_with(&self.run.join(PLAN_FILE), |out| {
             serde_json::to_writer(&mut *out, self)?;
             for clip in &self.clips {
@@ -65,7 +65,7 @@ pub fn read_header(run: &Path) -> Result<Plan> {
 /// The header of a plan file, and the lines of its clips.
 fn open(run: &Path) -> Result<(Plan, Lines<BufReader<File>>)> {
     let path = run.join(PLAN_FILE);
-    let file = File::open(&path).map_err(|error| match error.kind() {
+    let file = rogs_files::open(&path).map_err(|error| match error.kind() {
         std::io::ErrorKind::NotFound => Error::usage(format!(
             "`{}` is not a run folder: it has no {PLAN_FILE}",
             run.display()

@@ -5,19 +5,19 @@ mod script;
 
 use std::collections::{BTreeSet, HashSet};
 use std::path::Path;
-use std::process::{Command, Stdio};
 
 use serde::{Deserialize, Serialize};
 
-use self::client::{array_limit, sbatch};
+use self::client::{array_limit, cancelled, sbatch};
 pub use self::script::{SLURM_FOLDER, Script};
 use self::script::{report_script, stage_script, units_file};
 use crate::error::{Error, Result, io};
-use crate::export::{shard_of, shell_line, stages, write_units};
+use crate::export::{shard_of, stages, write_units};
 use crate::ledger::{StageCost, read_costs, tried};
 use crate::manifest::{Slurm, parse_size};
 use crate::plan::{Plan, WorkUnit};
 use crate::prepare::Prepared;
+use crate::quote::{path_word, shell_line};
 use crate::stage::StageId;
 use crate::state::OutputState;
 
@@ -71,8 +71,9 @@ pub fn submit(prepared: &Prepared, finally: Option<&[String]>, dry_run: bool) ->
     }
     let plan = &prepared.plan;
     plan.freeze()?;
+    prepared.remember_sources();
     let folder = plan.run.join(SLURM_FOLDER);
-    std::fs::create_dir_all(folder.join("logs")).map_err(io("cannot make the folder", &folder))?;
+    rogs_files::make_folder_below(&plan.run, &folder.join("logs"))?;
     rogs_files::write_with(&units_file(plan), |out| {
         write_units(plan, submission.shard_count, out).map(|_| ())
     })?;
@@ -92,20 +93,16 @@ pub fn submit(prepared: &Prepared, finally: Option<&[String]>, dry_run: bool) ->
         }
         match sbatch(command) {
             Ok(id) => ids.push(id),
-            Err(error) => {
-                // Without what follows, the arrays that are in already would only waste time.
-                if !ids.is_empty() {
-                    let _ = Command::new("scancel").args(&ids).stderr(Stdio::null()).status();
-                }
-                return Err(error);
-            }
+            // Without what follows, the arrays that are in already would only waste time.
+            Err(error) => return Err(cancelled(&ids, error)),
         }
     }
     let record = Submitted {
         ids: ids.clone(),
         shards: submission.shards.clone(),
     };
-    append_line(&folder.join("submissions.jsonl"), &record)?;
+    // A job that nobody knows of is worse than none.
+    append_line(&folder.join("submissions.jsonl"), &record).map_err(|error| cancelled(&record.ids, error))?;
     submission.ids = ids;
     Ok(submission)
 }
@@ -144,24 +141,24 @@ fn prepare(prepared: &Prepared, finally: Option<&[String]>) -> Result<Submission
     for (index, &stage) in names.iter().enumerate() {
         let memory = memory(slurm, stage, costs.get(stage.name()), doublings);
         let last = index + 1 == names.len();
-        scripts.push(stage_script(prepared, stage, &shards, shard_count, memory, last));
+        scripts.push(stage_script(prepared, stage, &shards, shard_count, memory, last)?);
         let mut command = vec!["sbatch".to_owned(), "--parsable".to_owned()];
         if let Some(before) = index.checked_sub(1) {
             // Without the second option a dependent of a failed element would wait forever.
             command.push(format!("--dependency=aftercorr:<id of {}>", names[before]));
             command.push("--kill-on-invalid-dep=yes".to_owned());
         }
-        command.push(scripts[index].path.display().to_string());
+        command.push(path_word(&scripts[index].path)?);
         commands.push(command);
     }
     if let (Some(words), Some(last)) = (finally, names.last()) {
-        let script = report_script(prepared, words);
+        let script = report_script(prepared, words)?;
         let dependency = format!("--dependency=afterany:<id of {last}>");
         commands.push(vec![
             "sbatch".to_owned(),
             "--parsable".to_owned(),
             dependency,
-            script.path.display().to_string(),
+            path_word(&script.path)?,
         ]);
         scripts.push(script);
     }
@@ -178,7 +175,7 @@ fn prepare(prepared: &Prepared, finally: Option<&[String]>) -> Result<Submission
 /// what the kernel's or Slurm's memory killer leaves behind.
 fn doublings(plan: &Plan, open: &BTreeSet<usize>, states: &[Vec<OutputState>]) -> Result<u32> {
     let path = plan.run.join(SLURM_FOLDER).join("submissions.jsonl");
-    let submissions = match std::fs::read_to_string(&path) {
+    let submissions = match rogs_files::read_to_string(&path) {
         Ok(text) => text
             .lines()
             .filter(|line| serde_json::from_str::<Submitted>(line).is_ok())
@@ -205,15 +202,15 @@ fn doublings(plan: &Plan, open: &BTreeSet<usize>, states: &[Vec<OutputState>]) -
 fn memory(slurm: &Slurm, stage: StageId, cost: Option<&StageCost>, doublings: u32) -> u64 {
     let said = slurm.memory.get(&stage).and_then(|text| parse_size(text).ok());
     let measured = cost.map(|cost| (cost.peak_rss_bytes / 3 * 4).max(512 << 20));
-    said.or(measured).unwrap_or(UNKNOWN_MEMORY) << doublings
+    said.or(measured)
+        .unwrap_or(UNKNOWN_MEMORY)
+        .saturating_mul(1 << doublings)
 }
 
 fn append_line(path: &Path, value: &impl Serialize) -> Result<()> {
     let mut line = serde_json::to_vec(value).map_err(|error| Error::Schemas(error.to_string()))?;
     line.push(b'\n');
-    let file = std::fs::OpenOptions::new().create(true).append(true).open(path);
-    file.and_then(|mut file| std::io::Write::write_all(&mut file, &line))
-        .map_err(io("cannot write", path))
+    Ok(rogs_files::append(path, &line)?)
 }
 
 impl Submission {

@@ -5,10 +5,12 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use crate::export::{batch_command, shell_line};
+use crate::error::Result;
+use crate::export::batch_command;
 use crate::manifest::safe_name;
 use crate::plan::Plan;
 use crate::prepare::Prepared;
+use crate::quote::{check_word, sbatch_pattern, sbatch_word, shell_line};
 use crate::stage::StageId;
 
 /// Folder with scripts, unit list and job output in a run folder.
@@ -50,6 +52,9 @@ fn ranges(shards: &BTreeSet<u32>) -> String {
 }
 
 /// The script of the job array of a stage.
+///
+/// # Errors
+/// When a path or an option cannot be written into a job script.
 pub(super) fn stage_script(
     prepared: &Prepared,
     stage: StageId,
@@ -57,7 +62,7 @@ pub(super) fn stage_script(
     shard_count: u32,
     memory: u64,
     last: bool,
-) -> Script {
+) -> Result<Script> {
     let (plan, slurm) = (&prepared.plan, &prepared.manifest.slurm);
     let cpus = slurm.cpus.get(&stage).copied().unwrap_or(1);
     let at_once = slurm.at_once.map(|count| format!("%{count}")).unwrap_or_default();
@@ -75,7 +80,7 @@ pub(super) fn stage_script(
         &units_file(plan),
         "auto",
         shard_count,
-    );
+    )?;
     words.extend([
         "--threads".to_owned(),
         cpus.to_string(),
@@ -90,7 +95,10 @@ pub(super) fn stage_script(
 }
 
 /// The script of the job at the end.
-pub(super) fn report_script(prepared: &Prepared, words: &[String]) -> Script {
+///
+/// # Errors
+/// As [`stage_script`].
+pub(super) fn report_script(prepared: &Prepared, words: &[String]) -> Result<Script> {
     script(
         prepared,
         "report",
@@ -99,11 +107,11 @@ pub(super) fn report_script(prepared: &Prepared, words: &[String]) -> Script {
     )
 }
 
-fn script(prepared: &Prepared, name: &str, mut options: Vec<String>, words: &[String]) -> Script {
+fn script(prepared: &Prepared, name: &str, mut options: Vec<String>, words: &[String]) -> Result<Script> {
     let (plan, slurm) = (&prepared.plan, &prepared.manifest.slurm);
     let folder = plan.run.join(SLURM_FOLDER);
     options.insert(0, format!("--job-name=rogs-{}-{name}", safe_name(&plan.name)));
-    options.push(format!("--output={}", folder.join("logs/%x_%A_%a.out").display()));
+    options.push(format!("--output={}/logs/%x_%A_%a.out", sbatch_pattern(&folder)?));
     options.push("--open-mode=append".to_owned());
     options.extend(
         slurm
@@ -113,22 +121,26 @@ fn script(prepared: &Prepared, name: &str, mut options: Vec<String>, words: &[St
     );
     options.extend(slurm.account.as_ref().map(|account| format!("--account={account}")));
     options.extend(slurm.time.as_ref().map(|time| format!("--time={time}")));
-    options.extend(slurm.extra.iter().cloned());
     let mut text = "#!/bin/sh\n".to_owned();
     for option in options {
-        text.push_str(&format!("#SBATCH {option}\n"));
+        text.push_str(&format!("#SBATCH {}\n", sbatch_word(&option)?));
+    }
+    for line in &slurm.extra {
+        check_word(line)?;
+        text.push_str(&format!("#SBATCH {line}\n"));
     }
     for line in &slurm.setup {
         text.push_str(line);
         text.push('\n');
     }
+    words.iter().try_for_each(|word| check_word(word))?;
     // `exec`, so that the signal reaches the program and not a shell that waits for it.
     text.push_str(&format!("exec {}\n", shell_line(words)));
-    Script {
+    Ok(Script {
         name: name.to_owned(),
         path: folder.join(format!("{name}.sbatch")),
         text,
-    }
+    })
 }
 
 #[cfg(test)]

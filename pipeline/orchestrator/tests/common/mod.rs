@@ -29,13 +29,21 @@ pub fn programs() -> StagePrograms {
 
 pub struct Workspace {
     folder: tempfile::TempDir,
+    /// Below the folder.
+    name: &'static str,
 }
 
 impl Workspace {
     /// Three good episodes.
     pub fn new() -> Self {
+        Self::below("")
+    }
+
+    /// The same in a folder of this name.
+    pub fn below(name: &'static str) -> Self {
         let workspace = Self {
             folder: tempfile::tempdir().unwrap(),
+            name,
         };
         for (name, text) in [("a", "one"), ("b", "two"), ("c", "three")] {
             workspace.episode(name, text);
@@ -46,7 +54,7 @@ impl Workspace {
     }
 
     pub fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
+        self.folder.path().join(self.name).join(name)
     }
 
     pub fn run_folder(&self) -> PathBuf {

@@ -9,7 +9,7 @@ use rogs_schemas::protocol::FailureCode;
 use rogs_schemas::records::clip::{CameraMount, Clip, ClipCamera, Rollout};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
-use rogs_schemas::{EpisodeFrame, FrameIndex};
+use rogs_schemas::{EpisodeFrame, FrameIndex, shown};
 use rogs_score::origins;
 use rogs_score::summary::ImageMetric::{AbsRel, Delta1, Lpips, Psnr, Rmse, Ssim};
 use rogs_score::summary::{ImageMetric, Metric, clip_value};
@@ -29,7 +29,7 @@ pub(super) fn section(clip: &ClipResults, open: bool, with_pictures: bool) -> Ma
         details open[open] {
             summary { (clip.id) }
             @for own in &clip.failures { (failure(&own.node, &own.failure)) }
-            @for (node, warning) in warnings() { div.warning { (node) ": " (warning) } }
+            @for (node, warning) in warnings() { div.warning { (node) ": " (shown::line(warning)) } }
             @if with_pictures {
                 (contents(clip))
             } @else {
@@ -96,7 +96,7 @@ fn read<R: Record>(
             let failure = Failure {
                 code: FailureCode::Io,
                 message: error.to_string(),
-                hint: Some("delete the file and run again".to_owned()),
+                hint: Some("`rogs verify --repair RUN` makes it again".to_owned()),
             };
             unreadable.push((stage, failure));
         })
@@ -127,7 +127,7 @@ fn facts(clip: &Clip) -> Markup {
     html! {
         table.facts {
             @for (name, value) in rows.iter().filter(|(_, value)| !value.is_empty()) {
-                tr { th { (name) } td { (value) } }
+                tr { th { (name) } td { (shown::line(value)) } }
             }
         }
     }

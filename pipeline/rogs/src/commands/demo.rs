@@ -67,15 +67,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     };
     let table = RunResults::read(&outcome.summary.run)?.table(TableId::Main, None, options)?;
     let code = outcome.summary.exit.code();
-    if args.json {
+    output::after_work(if args.json {
         output::json(&DemoOutcome {
             outcome,
             manifest,
             table,
-        })?;
+        })
     } else {
-        output::text(&Form::Text.print(&table)?)?;
-        output::text(&describe(&outcome))?;
-    }
+        output::text(&Form::Text.print(&table)?).and_then(|()| output::text(&describe(&outcome)))
+    })?;
     Ok(ExitCode::from(code))
 }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use rogs_orchestrator::diff::diff;
+use rogs_schemas::shown;
 
 use crate::output;
 
@@ -31,7 +32,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
                 lines,
                 "differs: {}: {}",
                 output.output.display(),
-                output.what.join("; ")
+                shown::line(&output.what.join("; "))
             );
         }
         for (files, side) in [(&difference.only_a, &args.a), (&difference.only_b, &args.b)] {
@@ -40,7 +41,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
             }
         }
         let _ = writeln!(lines, "{} outputs are the same", difference.same);
-        output::text(&lines)?;
+        output::after_work(output::text(&lines))?;
     }
     Ok(ExitCode::from(difference.exit().code()))
 }

@@ -142,29 +142,28 @@ fn media() -> Finding {
 }
 
 fn folder(folder: &std::path::Path) -> Finding {
-    match probe(folder) {
-        Ok(()) => {
-            let found = format!("`{}` can be written, renamed in and synced", folder.display());
-            Finding {
-                name: "folder",
-                state: "ok",
-                found,
-                hint: None,
-            }
-        }
+    match rogs_files::probe(folder) {
+        Ok(missing) if missing.is_empty() => Finding {
+            name: "folder",
+            state: "ok",
+            found: format!("`{}` can be written, renamed in, flushed and locked", folder.display()),
+            hint: None,
+        },
+        Ok(missing) => Finding {
+            name: "folder",
+            state: "note",
+            found: format!("the file system of `{}` has no {}", folder.display(), missing.join(", no ")),
+            hint: Some(
+                "runs work there all the same: without locks they hold a lease, without a flush a power cut may cost the \
+                 last outputs; mount options (Lustre: `flock`) or another folder give both"
+                    .into(),
+            ),
+        },
         Err(error) => Finding {
             name: "folder",
             state: "problem",
-            found: format!("`{}`: {error}", folder.display()),
+            found: format!("{error}: {}", error.source),
             hint: Some("choose a folder on a writable disk with `--folder`".into()),
         },
     }
-}
-
-/// Does what a run does with its outputs: write beside, flush, rename, flush the folder, lock.
-fn probe(folder: &std::path::Path) -> std::io::Result<()> {
-    let target = folder.join(format!(".rogs-doctor.{}", std::process::id()));
-    let written = rogs_files::write_with(&target, |file| file.get_ref().try_lock().map_err(std::io::Error::from));
-    let _ = std::fs::remove_file(&target);
-    written.map_err(|error| error.source)
 }

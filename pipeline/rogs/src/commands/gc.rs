@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use rogs_orchestrator::gc::collect;
+use rogs_schemas::shown;
 
 use crate::output;
 
@@ -28,7 +29,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     } else {
         let mut lines = String::new();
         for file in &collected.files {
-            let _ = writeln!(lines, "{}", file.display());
+            let _ = writeln!(lines, "{}", shown::line(&file.to_string_lossy()));
         }
         let what = if collected.dry_run {
             "would be removed"
@@ -41,7 +42,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
             collected.files.len(),
             collected.bytes
         );
-        output::text(&lines)?;
+        output::after_work(output::text(&lines))?;
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -6,6 +6,7 @@ use std::process::ExitCode;
 
 use rogs_lpips::Lpips;
 use rogs_orchestrator::columns;
+use rogs_schemas::shown;
 use rogs_score::folders::{PairScores, score_paths};
 use rogs_score::metrics::{Pixels, RgbView, SsimVariant};
 
@@ -105,7 +106,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     text.push('\n');
     for pair in &scores.pairs {
         for note in &pair.notes {
-            let _ = writeln!(text, "{}: {note}", pair.name);
+            let _ = writeln!(text, "{}: {note}", shown::line(&pair.name));
         }
     }
     if colours {
@@ -119,7 +120,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         (&scores.only_in_reference, "reference"),
     ] {
         if !names.is_empty() {
-            let _ = writeln!(text, "only in the {side}: {}", names.join(", "));
+            let _ = writeln!(text, "only in the {side}: {}", shown::line(&names.join(", ")));
         }
     }
     output::text(&text)?;

@@ -45,8 +45,7 @@ enum Command {
     Submit(submit::Args),
     /// Shows what is done in a run folder, what failed and why, and what is left.
     Status(status::Args),
-    /// Reads every output of a run folder completely and checks it against the plan.
-    Verify(status::Args),
+    Verify(verify::Args),
     Report(table::ReportArgs),
     Logs(logs::Args),
     Diff(diff::Args),

@@ -6,7 +6,8 @@ use std::process::ExitCode;
 
 use rogs_orchestrator::Prepared;
 use rogs_orchestrator::estimate::estimate;
-use rogs_orchestrator::export::{export, shell_line};
+use rogs_orchestrator::export::export;
+use rogs_orchestrator::quote::shell_line;
 
 use super::run::Machine;
 use crate::output;

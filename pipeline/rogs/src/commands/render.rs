@@ -288,7 +288,7 @@ fn render_scene(scene: &Scene, args: &ViewArgs, ply: Option<&WritePly<'_>>) -> a
 }
 
 fn read_cameras(path: &Path) -> anyhow::Result<Vec<CameraSpec>> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("reading `{}`", path.display()))?;
+    let text = rogs_files::read_to_string(path).with_context(|| format!("reading `{}`", path.display()))?;
     let file = serde_json::from_str(&text).with_context(|| format!("not a camera file: `{}`", path.display()))?;
     let cameras = match file {
         CameraFile::Many(cameras) => cameras,

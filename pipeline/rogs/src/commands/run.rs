@@ -4,9 +4,12 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use rogs_orchestrator::executor::RunSummary;
+use rogs_orchestrator::manifest::MOST_WORKERS;
 use rogs_orchestrator::programs::StagePrograms;
 use rogs_orchestrator::{Exit, Interrupts, Prepared};
 use rogs_report::write_report;
+use rogs_schemas::protocol::MOST_THREADS;
+use rogs_schemas::shown;
 use serde::Serialize;
 
 use crate::output;
@@ -35,14 +38,20 @@ pub(crate) struct Args {
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(crate) struct Machine {
     /// Worker processes at a time.
-    #[arg(long)]
+    #[arg(long, value_parser = at_most::<MOST_WORKERS>)]
     pub(crate) workers: Option<usize>,
     /// Threads of each worker.
-    #[arg(long)]
+    #[arg(long, value_parser = at_most::<MOST_THREADS>)]
     pub(crate) threads: Option<usize>,
     /// Folder with programs `rogs-STAGE` to use instead of the stages inside this program.
     #[arg(long, value_name = "DIR")]
     pub(crate) programs: Option<PathBuf>,
+}
+
+/// Reads a count that this machine can have.
+fn at_most<const MOST: usize>(text: &str) -> Result<usize, String> {
+    let count = text.parse().ok().filter(|count| (1..=MOST).contains(count));
+    count.ok_or_else(|| format!("expected 1 to {MOST}"))
 }
 
 /// What a finished run prints as JSON.
@@ -68,13 +77,13 @@ impl Machine {
         }
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         match (self.workers, self.threads) {
-            (Some(workers), Some(threads)) => (options.workers, options.threads) = (workers.max(1), threads.max(1)),
+            (Some(workers), Some(threads)) => (options.workers, options.threads) = (workers, threads),
             (Some(workers), None) => {
-                options.workers = workers.max(1);
+                options.workers = workers;
                 options.threads = (cores / options.workers).max(1);
             }
             (None, Some(threads)) => {
-                options.threads = threads.max(1);
+                options.threads = threads;
                 options.workers = (cores / options.threads).max(1);
             }
             (None, None) => {}
@@ -91,11 +100,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         prepared.options.only = Some(clips?);
     }
     let outcome = execute(&mut prepared, !args.no_report)?;
-    if args.json {
-        output::json(&outcome)?;
+    output::after_work(if args.json {
+        output::json(&outcome)
     } else {
-        output::text(&describe(&outcome))?;
-    }
+        output::text(&describe(&outcome))
+    })?;
     if outcome.summary.exit == Exit::Stopped {
         output::note(&format!(
             "stopped; finished outputs are kept. Resume with: rogs run {}",
@@ -109,7 +118,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
 pub(crate) fn execute(prepared: &mut Prepared, report: bool) -> anyhow::Result<RunOutcome> {
     prepared.options.interrupts = Interrupts::install()?;
     let summary = prepared.run()?;
-    let report = report.then(|| write_report(&summary.run)).transpose()?;
+    let report = report.then(|| write_report(&summary.run)).transpose();
+    let report = report.map_err(rogs_orchestrator::Error::after_start)?;
     Ok(RunOutcome { summary, report })
 }
 
@@ -123,10 +133,12 @@ pub(crate) fn describe(outcome: &RunOutcome) -> String {
         let _ = writeln!(
             text,
             "failed: {} at {}: {}",
-            failure.clip, failure.node, failure.message
+            failure.clip,
+            failure.node,
+            shown::line(&failure.message)
         );
         if let Some(hint) = &failure.hint {
-            let _ = writeln!(text, "  hint: {hint}");
+            let _ = writeln!(text, "  hint: {}", shown::line(hint));
         }
     }
     let _ = writeln!(

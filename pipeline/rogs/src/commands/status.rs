@@ -21,11 +21,11 @@ pub(crate) struct Args {
 /// What is done, what failed and why, what is left.
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let status = status(&args.run)?;
-    if args.json {
-        output::json(&status)?;
+    output::after_work(if args.json {
+        output::json(&status)
     } else {
-        output::text(&status.table())?;
-    }
+        output::text(&status.table())
+    })?;
     Ok(ExitCode::from(status.exit.code()))
 }
 

@@ -33,7 +33,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     } else if args.dry_run {
         output::text(&submission.text())?;
     } else {
-        output::text(&format!("submitted: {}", submission.ids.join(", ")))?;
+        output::after_work(output::text(&format!("submitted: {}", submission.ids.join(", "))))?;
         output::note(&format!(
             "rogs status {} shows the progress",
             prepared.plan.run.display()

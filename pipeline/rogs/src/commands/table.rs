@@ -113,7 +113,7 @@ fn results(runs: &[PathBuf]) -> anyhow::Result<RunResults> {
 
 /// The counts in a `selection.json`.
 fn selection_counts(path: &Path) -> anyhow::Result<CohortCounts> {
-    let text = std::fs::read(path).with_context(|| format!("reading `{}`", path.display()))?;
+    let text = rogs_files::read(path).with_context(|| format!("reading `{}`", path.display()))?;
     let selection: Selection = serde_json::from_slice(&text)
         .with_context(|| format!("`{}` is not a selection of `rogs cohort`", path.display()))?;
     Ok(selection.counts)

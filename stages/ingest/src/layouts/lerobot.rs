@@ -26,9 +26,15 @@ pub(crate) fn open(root: &Path, calibration: Option<&Calibration>, params: &Para
     let rows = Rows::read(&dataset, episode)?;
     let states = rows.states(&dataset, &params.states)?;
     let names = camera_names(&dataset, params)?;
-    let mut cameras = Vec::new();
+    let (mut cameras, mut warnings) = (Vec::new(), Vec::new());
     for (id, key) in names {
-        cameras.push(open_camera(&dataset, episode, &rows, calibration, (&id, &key))?);
+        let camera = open_camera(&dataset, episode, &rows, calibration, (&id, &key), &mut warnings)?;
+        cameras.push(camera);
+    }
+    let mut task = episode.task.clone();
+    if task.is_empty() {
+        // Kept by frame; the first one's is the clip's.
+        task = rows.task_index().map(|number| dataset.task(number)).unwrap_or_default();
     }
     // Wrist first, then by name; a choice in the parameters keeps its order.
     if params.cameras.is_empty() {
@@ -37,7 +43,7 @@ pub(crate) fn open(root: &Path, calibration: Option<&Calibration>, params: &Para
     Ok(Source {
         episode_id: episode.selector(),
         layout: dataset.version.layout(),
-        task: episode.task.clone(),
+        task,
         calibration_note: calibration.map(Calibration::note).unwrap_or_default(),
         fps: dataset.info.fps,
         frame_count,
@@ -45,8 +51,43 @@ pub(crate) fn open(root: &Path, calibration: Option<&Calibration>, params: &Para
         states,
         tracks: None,
         cameras_chosen: !params.cameras.is_empty(),
-        warnings: Vec::new(),
+        warnings,
     })
+}
+
+/// First frame of an episode in its video, which it begins `from` seconds into. Writers add up lengths in seconds, and the
+/// sum drifts away from the frames; the lengths of the episodes before it do not.
+fn first_frame(
+    dataset: &Dataset,
+    episode: &EpisodeMeta,
+    (key, from): (&str, f64),
+    (path, frames): (&Path, u64),
+    warnings: &mut Vec<String>,
+) -> StageResult<u64> {
+    let claimed = from * dataset.info.fps;
+    if !(claimed.is_finite() && (0.0..1e12).contains(&claimed)) {
+        return Err(wrong(path, format!("episode {} begins at {from} s", episode.index)));
+    }
+    let share = dataset.share(episode, key)?;
+    let index = episode.index;
+    if let Some(share) = share.filter(|share| share.before != claimed.round() as u64) {
+        // All frames of the video are those of its episodes, so their lengths say where each begins.
+        if share.all == frames {
+            warnings.push(format!(
+                "the timestamp {from} s at which episode {index} begins in the video of `{key}` is frame {claimed:.2}, the \
+                 episodes before it have {} frames: the frames are taken by their lengths",
+                share.before
+            ));
+            return Ok(share.before);
+        }
+    }
+    if (claimed - claimed.round()).abs() > 0.1 {
+        warnings.push(format!(
+            "the timestamp {from} s at which episode {index} begins in the video of `{key}` is frame {claimed:.2}, no whole \
+             number: check that images and states belong together"
+        ));
+    }
+    Ok(claimed.round() as u64)
 }
 
 /// Clip camera and video feature of every camera that is wanted.
@@ -84,6 +125,7 @@ fn open_camera(
     rows: &Rows,
     calibration: Option<&Calibration>,
     (id, key): (&str, &str),
+    warnings: &mut Vec<String>,
 ) -> StageResult<SourceCamera> {
     let info_path = dataset.root.join("meta/info.json");
     let (file, from) = episode
@@ -93,11 +135,7 @@ fn open_camera(
     let path = inside(&dataset.root, file, &info_path)?;
     let info = video::probe(&path)?;
     let size = (info.width, info.height);
-    let first = from * dataset.info.fps;
-    if !(first.is_finite() && (0.0..1e12).contains(&first)) {
-        return Err(wrong(&path, format!("episode {} begins at {from} s", episode.index)));
-    }
-    let first = first.round() as u64;
+    let first = first_frame(dataset, episode, (key, *from), (&path, info.frames), warnings)?;
     let fits = match dataset.version {
         Version::V21 => info.frames == episode.length,
         Version::V30 => first + episode.length <= info.frames,
@@ -169,7 +207,7 @@ impl Rows {
         let wanted = |name: &str| {
             name.starts_with("observation.state")
                 || name.starts_with("camera_extrinsics")
-                || ["timestamp", "frame_index", "episode_index"].contains(&name)
+                || ["timestamp", "frame_index", "episode_index", "task_index"].contains(&name)
         };
         let only = Some(("episode_index", episode.index));
         let table = Table::read_where(&path, &wanted, only, &mut Work::default())?;
@@ -204,6 +242,11 @@ impl Rows {
             }
         }
         Ok(Self { path, table })
+    }
+
+    /// Number of the task at the first frame, where the data has it.
+    fn task_index(&self) -> Option<u64> {
+        self.table.integer("task_index", 0).ok()
     }
 
     /// Entry `entry` of a column at every frame.

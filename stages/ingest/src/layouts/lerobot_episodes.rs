@@ -150,7 +150,7 @@ impl Dataset {
     }
 
     /// Files with the episodes of v3.0, sorted.
-    fn tables(&self) -> StageResult<Vec<PathBuf>> {
+    pub(super) fn tables(&self) -> StageResult<Vec<PathBuf>> {
         let mut files = Vec::new();
         for chunk in sorted(&self.root.join(TABLES))? {
             if chunk.is_dir() {
@@ -285,11 +285,9 @@ impl Columns {
             let template = dataset.info.video_path.as_deref().unwrap_or_default();
             videos.insert(key.clone(), (place(template, (chunk, file), key)?, from));
         }
-        let task = if table.has("tasks") {
-            table.texts("tasks")?.get(row).cloned().unwrap_or_default()
-        } else {
-            String::new()
-        };
+        // Text for people: that it is missing or strange is no reason to stop.
+        let task = table.texts("tasks").ok().and_then(|tasks| tasks.get(row).cloned());
+        let task = task.unwrap_or_default();
         let numbers = (
             table.integer("data/chunk_index", row)?,
             table.integer("data/file_index", row)?,
@@ -306,7 +304,7 @@ impl Columns {
 }
 
 /// `meta/episodes.jsonl`, read line by line.
-struct Lines {
+pub(super) struct Lines {
     path: PathBuf,
     file: BufReader<File>,
     length: u64,
@@ -315,8 +313,8 @@ struct Lines {
 }
 
 impl Lines {
-    fn open(path: &Path) -> StageResult<Self> {
-        let file = File::open(path).map_err(|error| io_error(path, &error))?;
+    pub(super) fn open(path: &Path) -> StageResult<Self> {
+        let file = rogs_files::open(path).map_err(|error| io_error(path, &error))?;
         let length = file.metadata().map_err(|error| io_error(path, &error))?.len();
         Ok(Self {
             path: path.to_owned(),
@@ -335,7 +333,7 @@ impl Lines {
     }
 
     /// Where the next line that is not empty begins, and what it says.
-    fn next(&mut self, work: &mut Work) -> StageResult<Option<(u64, String)>> {
+    pub(super) fn next(&mut self, work: &mut Work) -> StageResult<Option<(u64, String)>> {
         loop {
             let begin = self.at;
             let mut line = Vec::new();

@@ -5,6 +5,8 @@ pub(crate) mod droid;
 pub(crate) mod lerobot;
 mod lerobot_episodes;
 mod lerobot_meta;
+mod lerobot_share;
+mod lerobot_tasks;
 mod parquet_table;
 pub(crate) mod rogs_episode;
 

@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use arrow::array::{Array, ArrayRef, AsArray as _, BooleanArray, FixedSizeListArray, RecordBatch};
 use arrow::compute::cast;
-use arrow::datatypes::{DataType, Float64Type, UInt64Type};
+use arrow::datatypes::{DataType, Field, FieldRef, Float64Type, UInt64Type};
 use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::{ArrowPredicateFn, ParquetRecordBatchReaderBuilder, RowFilter};
 use parquet::file::metadata::{ParquetMetaData, RowGroupMetaData};
@@ -42,6 +43,8 @@ enum Column {
     Numbers { width: usize, values: Vec<f64> },
     /// First text of each row (a text, or a list of texts).
     Texts(Vec<String>),
+    /// Neither; why. It matters only to who asks for it.
+    Other(String),
 }
 
 impl Table {
@@ -53,12 +56,26 @@ impl Table {
         only: Option<(&str, u64)>,
         work: &mut Work,
     ) -> StageResult<Self> {
-        let file = File::open(path).map_err(|error| io_error(path, &error))?;
+        let file = rogs_files::open(path).map_err(|error| io_error(path, &error))?;
+        // The reader below trusts some numbers of a file that was damaged on its way.
+        let read = std::panic::AssertUnwindSafe(|| Self::read_file(path, file, wanted, only, work));
+        rogs_worker::quietly(read).unwrap_or_else(|| Err(wrong(path, "not a readable parquet file: it is damaged")))
+    }
+
+    fn read_file(
+        path: &Path,
+        file: File,
+        wanted: &dyn Fn(&str) -> bool,
+        only: Option<(&str, u64)>,
+        work: &mut Work,
+    ) -> StageResult<Self> {
+        let length = file.metadata().map_err(|error| io_error(path, &error))?.len();
         let bad = |error: &dyn std::fmt::Display| wrong(path, format!("not a readable parquet file: {error}"));
         let mut builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|error| bad(&error))?;
         let rows = u64::try_from(builder.metadata().file_metadata().num_rows()).unwrap_or(u64::MAX);
-        if rows > MAX_VALUES {
-            return Err(bad(&format!("{rows} rows")));
+        // Numbers are held in eight bytes, once more while they are converted.
+        if rows > MAX_VALUES.min(rogs_arrays::budget(length) / 16) {
+            return Err(bad(&format!("{rows} rows in {length} bytes")));
         }
         let groups = match only {
             Some((column, value)) => admitting(builder.metadata(), column, value),
@@ -93,9 +110,9 @@ impl Table {
             let batch = batch.map_err(|error| bad(&error))?;
             for (field, array) in batch.schema().fields().iter().zip(batch.columns()) {
                 let name = field.name();
-                table
-                    .append(name, array)
-                    .map_err(|what| wrong(path, format!("column `{name}`: {what}")))?;
+                if let Err(what) = table.append(name, array) {
+                    table.columns.insert(name.to_owned(), Column::Other(what));
+                }
             }
             table.rows += batch.num_rows();
         }
@@ -126,6 +143,7 @@ impl Table {
                 texts.extend(added);
                 Ok(())
             }
+            (Column::Other(_), _) => Ok(()),
             _ => Err("its rows have different lengths".into()),
         }
     }
@@ -143,6 +161,7 @@ impl Table {
                 &self.path,
                 format!("column `{name}` holds text, expected numbers"),
             )),
+            Some(Column::Other(what)) => Err(wrong(&self.path, format!("column `{name}`: {what}"))),
             None => Err(wrong(&self.path, format!("there is no column `{name}`"))),
         }
     }
@@ -233,8 +252,10 @@ fn filter(builder: &ParquetRecordBatchReaderBuilder<File>, column: &str, value: 
 }
 
 fn column(array: &ArrayRef) -> Result<Column, String> {
+    let array = &usual(array)?;
     match array.data_type() {
-        DataType::Utf8 | DataType::LargeUtf8 => {
+        DataType::Null => Ok(Column::Texts(vec![String::new(); array.len()])),
+        DataType::Utf8 => {
             let texts = cast(array, &DataType::Utf8).map_err(|error| error.to_string())?;
             Ok(Column::Texts(
                 texts
@@ -258,7 +279,7 @@ fn column(array: &ArrayRef) -> Result<Column, String> {
             let offsets = list.value_offsets();
             let (first, last) = (offsets[0] as usize, offsets[list.len()] as usize);
             let values = list.values().slice(first, last - first);
-            if matches!(values.data_type(), DataType::Utf8 | DataType::LargeUtf8) {
+            if matches!(values.data_type(), DataType::Null | DataType::Utf8) {
                 let firsts = offsets
                     .windows(2)
                     .map(|ends| (ends[0] < ends[1]).then_some(ends[0] as usize - first));
@@ -289,6 +310,35 @@ fn column(array: &ArrayRef) -> Result<Column, String> {
             values: scalars(array)?,
         }),
     }
+}
+
+/// The types that the usual writers use, as the few that are read: polars writes large lists and views, pandas
+/// dictionaries, and an empty list has no type at all.
+fn usual(array: &ArrayRef) -> Result<ArrayRef, String> {
+    let plain = |kind: &DataType| match kind {
+        DataType::LargeUtf8 | DataType::Utf8View => DataType::Utf8,
+        DataType::Dictionary(_, values) if matches!(**values, DataType::LargeUtf8 | DataType::Utf8View) => {
+            DataType::Utf8
+        }
+        DataType::Dictionary(_, values) => (**values).clone(),
+        other => other.clone(),
+    };
+    let list = |field: &FieldRef| {
+        let kind = plain(field.data_type());
+        DataType::List(Arc::new(Field::new("item", kind, true)))
+    };
+    let wanted = match array.data_type() {
+        DataType::List(field)
+        | DataType::LargeList(field)
+        | DataType::ListView(field)
+        | DataType::LargeListView(field) => list(field),
+        DataType::FixedSizeList(field, _) if !field.data_type().is_numeric() => list(field),
+        other => plain(other),
+    };
+    if wanted == *array.data_type() {
+        return Ok(Arc::clone(array));
+    }
+    cast(array, &wanted).map_err(|_| format!("values of type {} are not read", array.data_type()))
 }
 
 /// One number a row; a row without one is NaN, so that it fails what reads this row alone.

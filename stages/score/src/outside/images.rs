@@ -31,6 +31,18 @@ pub struct CameraImages {
 }
 
 impl ImagePredictions {
+    /// Cameras with colours or depths that are not finite, and how many.
+    pub(crate) fn undefined(&self) -> Vec<(&str, usize)> {
+        let count = |values: &Option<Vec<f32>>| {
+            let values = values.iter().flatten();
+            values.filter(|value| !value.is_finite()).count()
+        };
+        let all = self.cameras.iter();
+        all.map(|(id, own)| (id.as_str(), count(&own.rgb) + count(&own.depth_m)))
+            .filter(|(_, count)| *count > 0)
+            .collect()
+    }
+
     /// Reads `frames [Q]` and per camera `rgb_ID [Q, H, W, 3]` (8 bit, or floats in 0 to 1), `depth_ID [Q, H, W]` and
     /// `displacement_ID [Q, H, W, 3]`, each of which may be missing. `None` when the folder has no such file.
     ///
