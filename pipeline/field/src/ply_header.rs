@@ -187,7 +187,9 @@ impl Header {
     pub(crate) fn real(&self, name: &str) -> Result<Property> {
         match self.properties.get(name) {
             Some(property) if matches!(property.kind, Kind::Float | Kind::Double) => Ok(*property),
-            Some(_) => Err(wrong(format!("property `{name}` is no `float` or `double`"))),
+            Some(_) => Err(wrong(format!(
+                "property `{name}` has another type than `float` or `double`"
+            ))),
             None => Err(wrong(format!(
                 "property `{name}` is missing; a PLY of Gaussians has x, y, z, f_dc_0.., opacity, scale_0.., rot_0.. ({})",
                 self.shown()
@@ -203,7 +205,7 @@ impl Header {
         let byte = |name: &str| match self.properties.get(name) {
             Some(property) if property.kind == Kind::Byte => Ok(*property),
             _ => Err(wrong(format!(
-                "there is no `f_dc_0`, and `{name}` is no `uchar`: export colours as spherical harmonics (nerfstudio: \
+                "there is no `f_dc_0`, and `{name}` is not an `uchar`: export colours as spherical harmonics (nerfstudio: \
                  sh_coeffs)"
             ))),
         };

@@ -7,7 +7,7 @@ use hdf5_reader::{Datatype, SliceInfo, SliceInfoElem, VarLenKind};
 
 use super::attribute::{Hdf5Value, TextType, text};
 use super::element::{Cell, Hdf5Element, Stored};
-use super::file::{Hdf5File, values_of};
+use super::file::{Hdf5File, found, values_of};
 use crate::error::{Error, Result};
 use crate::shape;
 
@@ -18,6 +18,43 @@ pub struct Hdf5Dataset<'a> {
     at: String,
     inner: hdf5_reader::Dataset,
     shape: Vec<usize>,
+}
+
+impl Hdf5File {
+    /// A data set by its path in the file, if it is there.
+    ///
+    /// # Errors
+    /// When the file is damaged on the way to it.
+    pub fn dataset(&self, at: &str) -> Result<Option<Hdf5Dataset<'_>>> {
+        let dataset = found(self.file.dataset(at)).map_err(|error| self.failed(at, error))?;
+        dataset.map(|dataset| Hdf5Dataset::new(self, at, dataset)).transpose()
+    }
+
+    /// The same for a data set that must be there.
+    ///
+    /// # Errors
+    /// When it is not there, too; the message says what the nearest group holds.
+    pub fn need(&self, at: &str) -> Result<Hdf5Dataset<'_>> {
+        match self.dataset(at)? {
+            Some(dataset) => Ok(dataset),
+            None => Err(Error::wrong(self.path(), self.missing(at))),
+        }
+    }
+
+    /// All attributes of a group or data set (`""` is the root) by name.
+    ///
+    /// # Errors
+    /// When there is no such object, or they are damaged.
+    pub fn attributes(&self, at: &str) -> Result<BTreeMap<String, Hdf5Value>> {
+        let Some(group) = found(self.file.group(at)).map_err(|error| self.failed(at, error))? else {
+            return self.need(at)?.attributes();
+        };
+        let raw = group.raw_attributes().map_err(|error| self.failed(at, error))?;
+        let reference = 8 + usize::from(group.offset_size());
+        values_of(self, at, raw, reference, |bytes| {
+            group.resolve_vlen_reference_bytes(bytes, 1)
+        })
+    }
 }
 
 impl<'a> Hdf5Dataset<'a> {

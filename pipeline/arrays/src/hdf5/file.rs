@@ -7,7 +7,6 @@ use hdf5_reader::error::Error as Fault;
 use hdf5_reader::{FilterRegistry, OpenOptions, RawAttribute};
 
 use super::attribute::{self, Hdf5Value};
-use super::dataset::Hdf5Dataset;
 use super::{EXPANSION, MAX_CHUNK, MAX_HEADER, MAX_READ, lzf};
 use crate::error::{Error, Result};
 
@@ -17,7 +16,7 @@ const LZF: u16 = 32000;
 /// An open HDF5 file.
 pub struct Hdf5File {
     path: PathBuf,
-    file: hdf5_reader::Hdf5File,
+    pub(super) file: hdf5_reader::Hdf5File,
     length: u64,
 }
 
@@ -94,41 +93,6 @@ impl Hdf5File {
             .is_some())
     }
 
-    /// A data set by its path in the file, if it is there.
-    ///
-    /// # Errors
-    /// When the file is damaged on the way to it.
-    pub fn dataset(&self, at: &str) -> Result<Option<Hdf5Dataset<'_>>> {
-        let dataset = found(self.file.dataset(at)).map_err(|error| self.failed(at, error))?;
-        dataset.map(|dataset| Hdf5Dataset::new(self, at, dataset)).transpose()
-    }
-
-    /// The same for a data set that must be there.
-    ///
-    /// # Errors
-    /// When it is not there, too; the message says what the nearest group holds.
-    pub fn need(&self, at: &str) -> Result<Hdf5Dataset<'_>> {
-        match self.dataset(at)? {
-            Some(dataset) => Ok(dataset),
-            None => Err(Error::wrong(&self.path, self.missing(at))),
-        }
-    }
-
-    /// All attributes of a group or data set (`""` is the root) by name.
-    ///
-    /// # Errors
-    /// When there is no such object, or they are damaged.
-    pub fn attributes(&self, at: &str) -> Result<BTreeMap<String, Hdf5Value>> {
-        let Some(group) = found(self.file.group(at)).map_err(|error| self.failed(at, error))? else {
-            return self.need(at)?.attributes();
-        };
-        let raw = group.raw_attributes().map_err(|error| self.failed(at, error))?;
-        let reference = 8 + usize::from(group.offset_size());
-        values_of(self, at, raw, reference, |bytes| {
-            group.resolve_vlen_reference_bytes(bytes, 1)
-        })
-    }
-
     /// Most bytes that one read may make of this file.
     pub(super) fn limit(&self) -> u64 {
         limit(self.length)
@@ -152,7 +116,7 @@ impl Hdf5File {
     }
 
     /// What is missing, and what there is in the deepest group on the way that is there.
-    fn missing(&self, at: &str) -> String {
+    pub(super) fn missing(&self, at: &str) -> String {
         const SHOWN: usize = 12;
         let mut there = at;
         while let Some((parent, _)) = there.rsplit_once('/') {
@@ -201,7 +165,7 @@ fn options(length: u64) -> OpenOptions {
 }
 
 /// `None` for what is not there.
-fn found<T>(result: std::result::Result<T, Fault>) -> std::result::Result<Option<T>, Fault> {
+pub(super) fn found<T>(result: std::result::Result<T, Fault>) -> std::result::Result<Option<T>, Fault> {
     fn absent(error: &Fault) -> bool {
         match error {
             Fault::Context { source, .. } => absent(source),
