@@ -17,7 +17,10 @@ fuzz_target!(|bytes: &[u8]| {
     let mut rest = bytes;
     for (index, name) in NAMES.iter().enumerate() {
         // The last one may hold anything.
-        let end = rest.windows(mark.len()).position(|window| window == mark).filter(|_| index < 2);
+        let end = rest
+            .windows(mark.len())
+            .position(|window| window == mark)
+            .filter(|_| index < 2);
         let (piece, after) = end.map_or((rest, &[][..]), |end| (&rest[..end], &rest[end + mark.len()..]));
         std::fs::write(folder.join(name), piece).expect("an input can be written");
         rest = after;

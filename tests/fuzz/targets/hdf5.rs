@@ -17,10 +17,18 @@ fuzz_target!(|bytes: &[u8]| {
     let mut seen = 0;
     while let Some(group) = groups.pop() {
         let _ = file.attributes(&group);
-        let below = |name: &String| if group.is_empty() { name.clone() } else { format!("{group}/{name}") };
+        let below = |name: &String| {
+            if group.is_empty() {
+                name.clone()
+            } else {
+                format!("{group}/{name}")
+            }
+        };
         for name in file.datasets(&group).unwrap_or_default() {
             seen += 1;
-            if seen < OBJECTS && let Ok(Some(dataset)) = file.dataset(&below(&name)) {
+            if seen < OBJECTS
+                && let Ok(Some(dataset)) = file.dataset(&below(&name))
+            {
                 read(&dataset);
             }
         }
@@ -34,7 +42,10 @@ fuzz_target!(|bytes: &[u8]| {
 });
 
 fn read(dataset: &Hdf5Dataset<'_>) {
-    let count = dataset.shape().iter().try_fold(1_usize, |product, &length| product.checked_mul(length));
+    let count = dataset
+        .shape()
+        .iter()
+        .try_fold(1_usize, |product, &length| product.checked_mul(length));
     if let Ok(values) = dataset.read::<f64>() {
         assert_eq!(Some(values.len()), count);
     }

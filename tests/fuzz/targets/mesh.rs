@@ -10,7 +10,8 @@ fuzz_target!(|bytes: &[u8]| {
         return;
     };
     let ending = ["stl", "obj", "dae", "gltf"][usize::from(*kind) % 4];
-    if let Ok(MeshFile { mesh, .. }) = Mesh::parse(ending, bytes, MeshAxes::Viewers, &|_| Err("no other files".into())) {
+    if let Ok(MeshFile { mesh, .. }) = Mesh::parse(ending, bytes, MeshAxes::Viewers, &|_| Err("no other files".into()))
+    {
         let count = mesh.positions.len();
         assert!(mesh.triangles.iter().flatten().all(|&corner| (corner as usize) < count));
         assert!(mesh.positions.iter().flatten().all(|value| value.is_finite()));

@@ -35,7 +35,9 @@ fn episode() -> &'static Path {
 }
 
 fuzz_target!(|bytes: &[u8]| {
-    let Some((&role, rest)) = bytes.split_first() else { return };
+    let Some((&role, rest)) = bytes.split_first() else {
+        return;
+    };
     // Files of tracks are told apart by their ending.
     let file = place::folder().join(if role % 4 == 3 { "file.tar" } else { "file" });
     std::fs::write(&file, rest).expect("an input can be written");
