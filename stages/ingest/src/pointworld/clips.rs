@@ -42,10 +42,14 @@ pub(super) struct Clip {
     pub(super) end: usize,
 }
 
+/// Members of a sample: offset and length by name.
+type Members = BTreeMap<String, (u64, u64)>;
+/// Samples of a shard by key.
+type Samples = BTreeMap<String, Members>;
+
 enum Store {
     Hdf5(Hdf5File),
-    /// Members of every sample: offset and length by name.
-    Shard(BTreeMap<String, BTreeMap<String, (u64, u64)>>),
+    Shard(Samples),
 }
 
 /// Numbers with their shape.
@@ -62,8 +66,8 @@ pub(super) fn is_shard(path: &Path) -> bool {
 }
 
 /// The samples of a shard: members by key. A file belongs to the key before the first dot of its name.
-fn samples(path: &Path) -> StageResult<BTreeMap<String, BTreeMap<String, (u64, u64)>>> {
-    let mut samples: BTreeMap<String, BTreeMap<String, (u64, u64)>> = BTreeMap::new();
+fn samples(path: &Path) -> StageResult<Samples> {
+    let mut samples = Samples::new();
     for file in tar::index(path)? {
         let base = file.name.rsplit('/').next().unwrap_or(&file.name);
         if let Some((key, member)) = base.split_once('.')
