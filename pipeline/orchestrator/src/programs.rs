@@ -126,15 +126,15 @@ impl StagePrograms {
         Ok(description)
     }
 
-    /// The episodes in a folder, by their ids.
+    /// The episodes in a folder, by their ids; `counted` with the frames of all, which may mean to open each.
     ///
     /// # Errors
     /// When ingest cannot be started or does not know what the folder holds.
-    pub fn list_episodes(&self, root: &Path) -> Result<Vec<ListedEpisode>> {
-        let output = self.answer(
-            StageId::Ingest,
-            &["list".to_owned(), root.display().to_string(), "--json".to_owned()],
-        )?;
+    pub fn list_episodes(&self, root: &Path, counted: bool) -> Result<Vec<ListedEpisode>> {
+        let words = ["list".to_owned(), root.display().to_string(), "--json".to_owned()];
+        let frames = counted.then(|| "--frames".to_owned());
+        let words: Vec<String> = words.into_iter().chain(frames).collect();
+        let output = self.answer(StageId::Ingest, &words)?;
         let mut episodes: Vec<ListedEpisode> = serde_json::from_slice(&output)
             .map_err(|error| self.error(StageId::Ingest, format!("`list` did not answer with episodes: {error}")))?;
         episodes.sort_by(|a, b| (&a.episode_id, &a.folder, &a.selector).cmp(&(&b.episode_id, &b.folder, &b.selector)));

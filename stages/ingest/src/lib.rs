@@ -162,20 +162,27 @@ fn read(root: &Path, beside: &Beside<'_>, params: &Params, clip_id: &str) -> Sta
     assemble::assemble(source, beside.rollout, &params, clip_id)
 }
 
-/// The faces `list ROOT [--json]` and `references ROOT [--json]`; `None` when the arguments ask for something else.
+/// The faces `list ROOT [--json] [--frames]` (frames also of episodes that have to be opened for it) and `references ROOT [--json]`; `None` when the arguments ask for something else.
 #[must_use]
 pub fn list_main(arguments: &[std::ffi::OsString]) -> Option<std::process::ExitCode> {
     use std::process::ExitCode;
     let (first, rest) = arguments.split_first()?;
     let face = first.to_str().filter(|face| ["list", "references"].contains(face))?;
     let json = rest.iter().any(|argument| argument == "--json");
-    let roots: Vec<&std::ffi::OsString> = rest.iter().filter(|argument| *argument != "--json").collect();
+    let frames = rest.iter().any(|argument| argument == "--frames");
+    let is_flag = |argument: &&std::ffi::OsString| ["--json", "--frames"].iter().any(|flag| **argument == **flag);
+    let roots: Vec<&std::ffi::OsString> = rest.iter().filter(|argument| !is_flag(argument)).collect();
     let [root] = roots[..] else {
-        rogs_worker::message!("usage: rogs-ingest {face} ROOT [--json]");
+        rogs_worker::message!("usage: rogs-ingest {face} ROOT [--json] [--frames]");
         return Some(ExitCode::from(2));
     };
     let lines = match face {
-        "list" => list_episodes(Path::new(root)).map(|episodes| lines(&episodes, json, episode_line)),
+        "list" => list_episodes(Path::new(root)).map(|mut episodes| {
+            if frames {
+                listing::count_frames(Path::new(root), &mut episodes);
+            }
+            lines(&episodes, json, episode_line)
+        }),
         _ => list_references(Path::new(root)).map(|files| match json {
             true => vec![serde_json::to_string(&files).unwrap_or_default()],
             false => files.iter().flat_map(reference_lines).collect(),

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use rayon::prelude::*;
 use rogs_schemas::ids::safe_name;
 use rogs_worker::{StageError, StageResult};
 use serde::Serialize;
@@ -146,6 +147,16 @@ fn list_droid(folder: &Path, relative: &str) -> StageResult<Vec<EpisodeListing>>
             listed(found.id, droid::LAYOUT, (folder, String::new()), None, found.files)
         })
         .collect())
+}
+
+/// Fills in the frames that a listing does not know by itself: those of raw DROID, whose metadata are read for it.
+pub(crate) fn count_frames(root: &Path, episodes: &mut [EpisodeListing]) {
+    let unknown = episodes.par_iter_mut().filter(|episode| episode.frames.is_none());
+    unknown.for_each(|episode| {
+        if episode.layout == droid::LAYOUT {
+            episode.frames = droid::frames(&root.join(&episode.folder));
+        }
+    });
 }
 
 /// Every file below a folder but strays, relative; links are followed.

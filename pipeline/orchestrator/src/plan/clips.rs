@@ -72,8 +72,11 @@ pub(super) fn add_clips(
     programs: &StagePrograms,
     sources: &SourceCache,
 ) -> Result<()> {
+    let input = manifest.input.iter().map(Input::cut);
+    let cuts = input.chain(manifest.episodes.iter().map(Episode::cut));
     let mut listings = Listings {
         programs,
+        counted: cuts.flatten().any(|cut| cut.several),
         known: HashMap::new(),
     };
     let mut asked = Vec::new();
@@ -241,6 +244,8 @@ impl References<'_> {
 
 struct Listings<'a> {
     programs: &'a StagePrograms,
+    /// Clips are cut along episodes, whose lengths must be known.
+    counted: bool,
     known: HashMap<PathBuf, Listing>,
 }
 
@@ -286,7 +291,7 @@ impl Listings<'_> {
             let error = text.error(at, format!("`{}` is not a folder", shown(root)));
             return Err(error.with_hint(path_hint(root)));
         }
-        let episodes = self.programs.list_episodes(root)?;
+        let episodes = self.programs.list_episodes(root, self.counted)?;
         if episodes.is_empty() {
             let message = format!("`{}` holds no episode in a layout that ingest knows", root.display());
             return Err(text.error(at, message));

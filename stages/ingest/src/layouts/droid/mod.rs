@@ -115,6 +115,11 @@ pub(crate) fn open(root: &Path, calibration: Option<&Path>, params: &Params) -> 
     })
 }
 
+/// Frames of an episode as its metadata say; idle steps that are left out shorten it.
+pub(crate) fn frames(root: &Path) -> Option<u64> {
+    metadata::read(root).ok()??.trajectory_length
+}
+
 /// Metadata and uuid of an episode; without metadata, by its place in the published table.
 fn identify(root: &Path, published: Option<&Published>) -> StageResult<(Metadata, String)> {
     let metadata = metadata::read(root)?;
