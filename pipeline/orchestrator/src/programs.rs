@@ -148,14 +148,10 @@ impl StagePrograms {
     pub fn list_references(&self, root: &Path) -> Result<HashMap<String, BTreeMap<String, PathBuf>>> {
         let output = self.answer(
             StageId::Ingest,
-            &["references".to_owned(), root.display().to_string(), "--json".to_owned()],
+            &["caches".to_owned(), root.display().to_string(), "--json".to_owned()],
         )?;
-        serde_json::from_slice(&output).map_err(|error| {
-            self.error(
-                StageId::Ingest,
-                format!("`references` did not answer with files: {error}"),
-            )
-        })
+        serde_json::from_slice(&output)
+            .map_err(|error| self.error(StageId::Ingest, format!("`caches` did not answer with files: {error}")))
     }
 
     fn answer(&self, stage: StageId, arguments: &[String]) -> Result<Vec<u8>> {

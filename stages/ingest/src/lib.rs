@@ -162,12 +162,13 @@ fn read(root: &Path, beside: &Beside<'_>, params: &Params, clip_id: &str) -> Sta
     assemble::assemble(source, beside.rollout, &params, clip_id)
 }
 
-/// The faces `list ROOT [--json] [--frames]` (frames also of episodes that have to be opened for it) and `references ROOT [--json]`; `None` when the arguments ask for something else.
+/// The faces `list ROOT [--json] [--frames]` (frames also of episodes that have to be opened for it) and `caches ROOT
+/// [--json]` (files of PointWorld by episode); `None` when the arguments ask for something else.
 #[must_use]
 pub fn list_main(arguments: &[std::ffi::OsString]) -> Option<std::process::ExitCode> {
     use std::process::ExitCode;
     let (first, rest) = arguments.split_first()?;
-    let face = first.to_str().filter(|face| ["list", "references"].contains(face))?;
+    let face = first.to_str().filter(|face| ["list", "caches"].contains(face))?;
     let json = rest.iter().any(|argument| argument == "--json");
     let frames = rest.iter().any(|argument| argument == "--frames");
     let is_flag = |argument: &&std::ffi::OsString| ["--json", "--frames"].iter().any(|flag| **argument == **flag);

@@ -1,4 +1,4 @@
-//! `rogs-ingest`: the faces of the stage, and `list` and `references` `ROOT [--json]`.
+//! `rogs-ingest`: the faces of the stage, and `list` and `caches` `ROOT [--json]`.
 
 use std::ffi::OsString;
 use std::process::ExitCode;
