@@ -99,6 +99,9 @@ pub fn write_rollout(
     if place.exists() {
         return Ok(());
     }
+    if let Some(folder) = place.parent() {
+        std::fs::create_dir_all(folder).map_err(|source| Error::io(folder, source))?;
+    }
     let draft = Draft::begin(place)?;
     (0..count).into_par_iter().try_for_each(|number| -> Result<()> {
         let views = episode.render_rollout(first, number, count, distortions);
