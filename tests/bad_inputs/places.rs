@@ -69,12 +69,12 @@ fn the_report_is_not_written_behind_a_link() {
     assert_eq!(workspace.rogs(&["run", "manifest.toml"]).status.code(), Some(0));
     for place in ["run/report/tables", "run/report"] {
         let (place, elsewhere) = (workspace.path(place), workspace.path("elsewhere"));
-        std::fs::remove_dir_all(&place).unwrap();
+        // A run of this kind may have no tables.
+        let _ = std::fs::remove_dir_all(&place);
         std::fs::create_dir_all(&elsewhere).unwrap();
         symlink(&elsewhere, &place).unwrap();
         let output = workspace.rogs(&["report", "run"]);
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
-        // A run of this kind may have no tables.
         if !output.status.success() {
             assert_eq!(output.status.code(), Some(70), "{said}");
             assert!(said.contains("it is a link"), "{said}");
