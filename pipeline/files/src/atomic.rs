@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use crate::error::{Error, Result, io};
 use crate::fault_injection::{self, Operation};
 use crate::missing::or_missing;
+use crate::paths::folder_of;
 use crate::writer::temporaries;
 
 /// Capacity of the buffer in front of a file, bytes.
@@ -114,14 +115,6 @@ pub(crate) fn temporary_beside<T>(path: &Path, create: impl Fn(&Path) -> std::io
     Err(io("creating a temporary file beside", path)(std::io::Error::from(
         ErrorKind::AlreadyExists,
     )))
-}
-
-/// The folder that a path's last component lies in.
-pub(crate) fn folder_of(path: &Path) -> &Path {
-    match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    }
 }
 
 /// Flushes the entries of a folder to disk, where systems can.

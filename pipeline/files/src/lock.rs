@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::{Duration, SystemTime};
 
-use crate::atomic::folder_of;
 use crate::error::{Error, Result, io};
 use crate::missing::is_missing_operation;
+use crate::paths::folder_of;
 use crate::place::{here, open, open_own};
 use crate::writer::{is_running_since, place, temporaries};
 

@@ -10,9 +10,6 @@
 //! Links are never made, so that a file system without them serves as well.
 
 use std::io::{Error, ErrorKind};
-use std::path::Path;
-
-use crate::error::{Result, io};
 
 /// True for an error that says that the file system does not have the operation, as opposed to one that failed.
 #[must_use]
@@ -32,33 +29,6 @@ pub(crate) fn or_missing(outcome: std::io::Result<()>) -> std::io::Result<()> {
         Err(error) if is_missing_operation(&error) => Ok(()),
         other => other,
     }
-}
-
-/// Does in a folder what a run does with its outputs - writes beside, flushes, renames, flushes the folder, locks - and says
-/// which of these operations the file system does not have.
-///
-/// # Errors
-/// When one of them fails.
-pub fn probe(folder: &Path) -> Result<Vec<&'static str>> {
-    let target = folder.join(format!(".rogs-probe.{}", std::process::id()));
-    let mut missing = Vec::new();
-    let mut note = |what: &'static str, outcome: std::io::Result<()>| match outcome {
-        Err(error) if is_missing_operation(&error) => {
-            missing.push(what);
-            Ok(())
-        }
-        other => other,
-    };
-    let written = crate::write_with(&target, |file| {
-        note("lock on files", file.get_ref().try_lock().map_err(Error::from))?;
-        note("flush of files", file.get_ref().sync_all())
-    });
-    let written = written.and_then(|()| {
-        let flush = std::fs::File::open(folder).and_then(|folder| folder.sync_all());
-        note("flush of folders", flush).map_err(io("flushing", folder))
-    });
-    let _ = std::fs::remove_file(&target);
-    written.map(|()| missing)
 }
 
 #[cfg(test)]

@@ -123,7 +123,7 @@ pub fn append(path: &Path, bytes: &[u8]) -> Result<()> {
         fault_injection::at(Operation::Append, path)?;
         let mut file = match open() {
             Err(error) if error.kind() == ErrorKind::NotFound => {
-                std::fs::create_dir_all(crate::atomic::folder_of(path))?;
+                std::fs::create_dir_all(crate::paths::folder_of(path))?;
                 open()?
             }
             other => other?,

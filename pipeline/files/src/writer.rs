@@ -89,7 +89,7 @@ pub fn remove_own(path: &Path) {
     let Some(name) = path.file_name().and_then(|name| name.to_str()) else {
         return;
     };
-    for entry in std::fs::read_dir(crate::atomic::folder_of(path))
+    for entry in std::fs::read_dir(crate::paths::folder_of(path))
         .into_iter()
         .flatten()
         .flatten()
