@@ -279,5 +279,11 @@ fn depth_warnings(clip: &Clip, maps: &[RobotMap]) -> Vec<String> {
 }
 
 fn bad_input(error: rogs_robot::Error) -> StageError {
-    StageError::bad_input(error.chain())
+    let hint = match &error {
+        rogs_robot::Error::Mesh { .. } => "export the mesh again, e.g. as binary STL or as glTF without compression",
+        rogs_robot::Error::Reference { .. } => "docs/episode-format.md says where meshes of a robot are looked for",
+        rogs_robot::Error::Urdf { .. } => "docs/episode-format.md says what is read of a URDF",
+        _ => return StageError::bad_input(error.chain()),
+    };
+    StageError::bad_input(error.chain()).with_hint(hint)
 }
