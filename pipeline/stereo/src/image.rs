@@ -52,7 +52,7 @@ impl Grey {
     }
 
     /// The image whose row `y` is row `y + rows` of this one, between rows linearly, beyond the border the border.
-    pub(crate) fn from_row(&self, rows: f32) -> Self {
+    pub(crate) fn begun_at_row(&self, rows: f32) -> Self {
         let whole = rows.floor();
         let last = self.height as i64 - 1;
         let of = |row: usize| {
@@ -96,9 +96,9 @@ mod tests {
     #[test]
     fn rows_are_moved_and_blended() {
         let image = Grey::new(2, 3, vec![10, 20, 30, 40, 50, 60]).unwrap();
-        assert_eq!(image.from_row(0.0), image);
-        assert_eq!(image.from_row(1.0).pixels(), [30, 40, 50, 60, 50, 60]);
-        assert_eq!(image.from_row(-0.5).pixels(), [10, 20, 20, 30, 40, 50]);
-        assert_eq!(image.from_row(0.25).pixels(), [15, 25, 35, 45, 50, 60]);
+        assert_eq!(image.begun_at_row(0.0), image);
+        assert_eq!(image.begun_at_row(1.0).pixels(), [30, 40, 50, 60, 50, 60]);
+        assert_eq!(image.begun_at_row(-0.5).pixels(), [10, 20, 20, 30, 40, 50]);
+        assert_eq!(image.begun_at_row(0.25).pixels(), [15, 25, 35, 45, 50, 60]);
     }
 }

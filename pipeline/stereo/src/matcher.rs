@@ -43,7 +43,7 @@ pub fn match_offset_pair(
             what: format!("invalid offset of rows {rows_px}: expected pixels"),
         });
     }
-    let mut found = match_pair(left, &right.from_row(rows_px), rig, params)?;
+    let mut found = match_pair(left, &right.begun_at_row(rows_px), rig, params)?;
     // Back to the rows of the right eye, the nearest ones.
     let (width, rows) = (right.width(), rows_px.round() as i64);
     let moved = |row: i64| {
