@@ -29,7 +29,8 @@ cat <<END
 # Every table, from one run
 
 Printed by [tables-example.sh](tables-example.sh): procedural clips ($episodes of $size pixels) with the bundled weights, as
-recorded and as made-up rollouts of them (\`rogs synth --rollouts ${distortions[*]}\`), under the variants of
+recorded and as made-up rollouts of them
+(\`rogs synth --rollouts ${distortions[*]}\`), under the variants of
 \`manifests/ablations.toml\` but for fewer source times. The numbers show the tables, not methods; times were taken on
 whatever machine this was. Rows of other methods need their files (\`docs/predictions.md\`), LPIPS its weights, \`latent\` a
 tokenizer's latents, \`cohort\` an episode list: their cells are dashes here, and filled in the made-up run of
