@@ -40,8 +40,18 @@ fn commands() -> Vec<Vec<String>> {
     let name = |file: &std::path::PathBuf| file.file_stem().unwrap().to_string_lossy().into_owned();
     let mut names: Vec<String> = files.iter().map(name).collect();
     names.sort();
-    let words = |name: &String| name.split('-').skip(1).map(str::to_owned).collect();
-    names.iter().map(words).collect()
+    names.iter().map(|name| words(name, &names)).collect()
+}
+
+/// Arguments that name the command of a manual page. A command may hold a hyphen: it is what follows its parent's page.
+fn words(name: &str, names: &[String]) -> Vec<String> {
+    let inside = |parent: &&String| name.strip_prefix(parent.as_str()).is_some_and(|rest| rest.starts_with('-'));
+    let Some(parent) = names.iter().filter(inside).max_by_key(|parent| parent.len()) else {
+        return Vec::new();
+    };
+    let mut words = words(parent, names);
+    words.push(name[parent.len() + 1..].to_owned());
+    words
 }
 
 #[test]
