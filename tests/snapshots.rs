@@ -45,7 +45,10 @@ fn commands() -> Vec<Vec<String>> {
 
 /// Arguments that name the command of a manual page. A command may hold a hyphen: it is what follows its parent's page.
 fn words(name: &str, names: &[String]) -> Vec<String> {
-    let inside = |parent: &&String| name.strip_prefix(parent.as_str()).is_some_and(|rest| rest.starts_with('-'));
+    let inside = |parent: &&String| {
+        name.strip_prefix(parent.as_str())
+            .is_some_and(|rest| rest.starts_with('-'))
+    };
     let Some(parent) = names.iter().filter(inside).max_by_key(|parent| parent.len()) else {
         return Vec::new();
     };

@@ -49,7 +49,15 @@ fn the_report_of_a_small_run() {
         .map(|file| file.unwrap().file_name().into_string().unwrap())
         .collect();
     names.sort();
-    let tables = ["additional", "ci", "inputs", "main", "recurrence", "robot_stage1", "timing"];
+    let tables = [
+        "additional",
+        "ci",
+        "inputs",
+        "main",
+        "recurrence",
+        "robot_stage1",
+        "timing",
+    ];
     let expected: Vec<String> = tables
         .iter()
         .flat_map(|table| ["csv", "json", "tex", "txt"].map(|form| format!("{table}.{form}")))
