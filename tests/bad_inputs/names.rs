@@ -77,7 +77,7 @@ fn names_cannot_steer_a_terminal_or_hide_in_a_page() {
         false => format!("{line}\n"),
     });
     workspace.write("named.toml", &named.collect::<String>());
-    workspace.write("key.toml", &format!("{manifest}\n[lift]\n\"{escaped}\" = 1\n"));
+    workspace.write("key.toml", &format!("{manifest}\n[robot-maps]\n\"{escaped}\" = 1\n"));
     for name in ["named.toml", "key.toml"] {
         let output = workspace.rogs(&["plan", name]);
         assert_eq!(output.status.code(), Some(2), "{output:?}");

@@ -17,6 +17,10 @@ fn read(path: &Path) -> Result<String> {
     let file = rogs_files::open(path).map_err(|error| match error.kind() {
         std::io::ErrorKind::NotFound => Error::usage(format!("there is no manifest `{}`", path.display()))
             .with_hint("name a TOML file such as those in `manifests/`, or a run folder"),
+        std::io::ErrorKind::InvalidInput => {
+            Error::usage(format!("cannot read the manifest `{}`: {error}", path.display()))
+                .with_hint("name a TOML file such as those in `manifests/`, or a run folder")
+        }
         _ => io("cannot read the manifest", path)(error),
     })?;
     file.take(MOST_BYTES as u64 + 1)
