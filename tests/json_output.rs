@@ -40,8 +40,11 @@ const WEIGHTS: [&str; 7] = [
 const PROGRAM: [&str; 4] = ["rogs-doctor", "rogs-schema", "rogs-completions", "rogs-man"];
 const DEMO: [&str; 1] = ["rogs-demo"];
 
+/// Asked in `tests/rollouts.rs`, which has what it needs.
+const ROLLOUTS: [&str; 1] = ["rogs-export-rollout-inputs"];
+
 /// The commands that only group others.
-const GROUPS: [&str; 2] = ["rogs", "rogs-weights"];
+const GROUPS: [&str; 3] = ["rogs", "rogs-export", "rogs-weights"];
 
 /// Camera file with one view in the base frame.
 const CAMERA: &str = r#"{"name": "view", "width": 56, "height": 42, "intrinsics": {"fx": 30, "fy": 30, "cx": 28, "cy": 21},
@@ -120,7 +123,17 @@ fn every_command_has_a_check_of_its_json() {
     }
     let page = std::fs::read_to_string(out.join("rogs-run.1")).unwrap();
     assert!(page.contains("same bytes"));
-    let here = [&RUNS[..], &PICTURES, &DATA, &WEIGHTS, &PROGRAM, &DEMO, &GROUPS].concat();
+    let here = [
+        &RUNS[..],
+        &PICTURES,
+        &DATA,
+        &WEIGHTS,
+        &PROGRAM,
+        &DEMO,
+        &ROLLOUTS,
+        &GROUPS,
+    ]
+    .concat();
     assert_eq!(names, here.into_iter().map(str::to_owned).collect());
 }
 

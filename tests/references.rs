@@ -40,7 +40,7 @@ fn references_are_made_where_the_manifest_asks_for_them() {
     expected.push(ReferenceOrigin::Kinematics);
     assert_eq!(origins, expected);
 
-    let table = run.rogs(&["table", "run", "main"]);
+    let table = run.rogs(&["table", "run", "--table", "main"]);
     assert!(table.contains("depth references: classical stereo (n=1)"), "{table}");
     assert!(table.contains("track references: kinematics (n=1)"), "{table}");
     let page = std::fs::read_to_string(run.path().join("run/report/index.html")).unwrap();
@@ -53,7 +53,8 @@ fn references_are_made_where_the_manifest_asks_for_them() {
 #[test]
 fn exact_references_are_named_in_tables_of_a_run_without() {
     let run = GoldenRun::new();
-    let table = run.rogs(&["table", "run", "main"]);
+    run.rogs(&["run", "manifest.toml"]);
+    let table = run.rogs(&["table", "run", "--table", "main"]);
     assert!(table.contains("depth references: exact (n=1)"), "{table}");
     assert!(table.contains("track references: exact (n=1)"), "{table}");
 }

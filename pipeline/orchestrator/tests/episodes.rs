@@ -238,9 +238,9 @@ fn a_selection_that_its_seed_does_not_draw_is_refused() {
     write(&workspace, &longer);
     assert!(told(&workspace, SELECTED).0.contains("draws from its list of 9"));
     let mut edited = selection(&names, 3, 42);
-    edited.selected[0].clip_name = "c".into();
+    edited.selected[0].clip_name = "z".into();
     write(&workspace, &edited);
-    assert!(told(&workspace, SELECTED).0.contains("differ about `c`"));
+    assert!(told(&workspace, SELECTED).0.contains("differ about `z`"));
     workspace.write("selection.json", "{}");
     assert!(
         told(&workspace, SELECTED)

@@ -66,7 +66,7 @@ pub fn source_files(role: &str, path: &Path) -> Result<BTreeMap<String, PathBuf>
             .filter(|folder| !folder.as_os_str().is_empty())
             .unwrap_or(Path::new("."));
         walk(folder, folder, 0, &mut files)?;
-        refer(path, folder, &mut files);
+        refer(path, &mut files);
         files.insert("<model>".to_owned(), path.to_owned());
     } else {
         files.insert(String::new(), path.to_owned());
@@ -86,16 +86,15 @@ pub fn hash_source(role: &str, path: &Path) -> Result<ContentHash> {
 
 /// Files that a URDF refers to outside its folder: those of the packages beside it. What cannot be resolved is left to
 /// the stage that reads it, which says so.
-fn refer(urdf: &Path, own: &Path, files: &mut BTreeMap<String, PathBuf>) {
+fn refer(urdf: &Path, files: &mut BTreeMap<String, PathBuf>) {
     let text = std::fs::read(urdf).unwrap_or_default();
     let text = String::from_utf8_lossy(&text);
     let Ok(folder) = rogs_robot_files::RobotFolder::of_urdf(urdf) else {
         return;
     };
-    let own = std::path::absolute(own).unwrap_or_else(|_| own.to_owned());
     for reference in rogs_robot_files::references(&text) {
         let Ok(path) = folder.resolve(&reference) else { continue };
-        if path.starts_with(&own) {
+        if path.starts_with(folder.of_text()) {
             continue;
         }
         let is_gltf = path
@@ -173,11 +172,12 @@ mod tests {
     fn a_source_is_its_content_not_its_place() {
         let (a, b) = (folder("a"), folder("b"));
         for root in [&a, &b] {
-            std::fs::write(root.join("robot.urdf"), "<robot/>").unwrap();
+            std::fs::write(root.join("robot.urdf"), "<mesh filename='meshes/link.stl'/>").unwrap();
             std::fs::write(root.join("meshes/link.stl"), "solid").unwrap();
         }
         let hash = |root: &Path| hash_source(ROBOT_MODEL, &root.join("robot.urdf")).unwrap();
         assert_eq!(hash(&a), hash(&b));
+        assert_eq!(hash(&a), hash(&a.join("meshes/..")), "however the place is written");
         let plain = |root: &Path| hash_source("weights", &root.join("robot.urdf")).unwrap();
         assert_eq!(plain(&a), plain(&b));
         let before = hash_source("episode", &b).unwrap();

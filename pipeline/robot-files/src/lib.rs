@@ -73,6 +73,12 @@ impl RobotFolder {
         &self.root
     }
 
+    /// The folder of the URDF, absolute and without `..`.
+    #[must_use]
+    pub fn of_text(&self) -> &Path {
+        &self.here
+    }
+
     /// The file a reference of the URDF means: a path, from the URDF's directory or the robot's folder, or
     /// `package://NAME/PATH` (also `model://`), which is `PATH` in that package, else in the robot's folder or in its
     /// subfolder `NAME`. Percent signs may be escapes, and backslashes separators.
