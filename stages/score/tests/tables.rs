@@ -147,6 +147,8 @@ fn means_coverage_and_footnotes_of_the_main_table() {
         "Recorded observations: 40 clips, except SoM 37",
         "World-model rollouts: 40 clips, except SoM 37",
         "LPIPS: no LPIPS weights were given",
+        "depth references: FoundationStereo cache (n=30), classical stereo (n=10)",
+        "track references: point tracker (n=30), kinematics (n=10)",
         "memory is the peak resident memory of the process (CPU), not device memory",
     ];
     assert_eq!(main.footnotes, notes);

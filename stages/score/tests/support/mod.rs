@@ -22,6 +22,7 @@ use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, Refinemen
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::records::scores::Scores;
 use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex, Intrinsics, RigidPose};
+use rogs_worker::Stage as _;
 
 pub(crate) const HEIGHT: usize = 24;
 pub(crate) const WIDTH: usize = 32;
@@ -347,7 +348,10 @@ pub(crate) fn material(
 ) -> KeyMaterial {
     KeyMaterial {
         stage: stage.into(),
-        stage_version: 1,
+        stage_version: match stage == rogs_score::Score::NAME {
+            true => rogs_score::Score::VERSION,
+            false => 1,
+        },
         schema,
         params: params.to_string(),
         inputs,
