@@ -22,7 +22,7 @@ pub fn line(text: &str) -> Cow<'_, str> {
     escaped(text, steers)
 }
 
-/// Several lines that are ours, with names in them: as [`line`], but for line ends and tabs.
+/// Several lines that are ours, with names in them: as [`line()`], but for line ends and tabs.
 #[must_use]
 pub fn text(text: &str) -> Cow<'_, str> {
     escaped(text, |c| steers(c) && c != '\n' && c != '\t')

@@ -101,8 +101,8 @@ pub struct Run {
     /// The last stages to run; default: all. Stages that these need are added.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub stages: Vec<StageId>,
-    /// What is reconstructed: `recorded` images, the `rollout` of [rollouts], or `both`, each with scores of its own against
-    /// the same recorded references. Default: both where there is [rollouts].
+    /// What is reconstructed: `recorded` images, the `rollout` of `[rollouts]`, or `both`, each with scores of its own against
+    /// the same recorded references. Default: both where there is `[rollouts]`.
     #[serde(default)]
     pub setting: Option<String>,
 }
