@@ -110,6 +110,7 @@ fn dependencies_point_one_way() {
                 "rogs-weights",
                 "rogs-tensors",
             ],
+            "rogs-agreement" => &["rogs-schemas", "rogs-geometry", "rogs-robot"],
             "rogs-stereo" => &["rogs-schemas", "rogs-geometry", "rogs-kernels"],
             "rogs-lpips" => &["rogs-kernels", "rogs-weights", "rogs-tensors"],
             "rogs-orchestrator" => &["rogs-schemas", "rogs-r4c", "rogs-random"],
@@ -137,6 +138,7 @@ fn dependencies_point_one_way() {
                 "rogs-stage2",
                 "rogs-lpips",
                 "rogs-stereo",
+                "rogs-agreement",
                 "rogs-worker",
             ],
         }
