@@ -32,6 +32,7 @@ pub mod ledger;
 pub mod pose;
 pub mod protocol;
 pub mod records;
+pub mod robots;
 pub mod selection;
 pub mod shown;
 pub mod units;

@@ -78,7 +78,7 @@ fn containers_and_weights() {
     // Good in itself, but of another network: the run says so, for every clip.
     std::fs::write(workspace.path("other.safetensors"), bytes(&tensor(""))).unwrap();
     workspace.write("manifest.toml", &manifest);
-    let (code, text) = altered(&workspace, "data/compact-stage1.safetensors", "other.safetensors");
+    let (code, text) = altered(&workspace, "lift = \"builtin\"", "lift = \"other.safetensors\"");
     assert_eq!(code, Some(1), "{text}");
     assert!(
         text.contains("at lift: ") && text.contains("other.safetensors"),

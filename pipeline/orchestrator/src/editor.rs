@@ -6,7 +6,7 @@ use serde_json::{Map, Value, json};
 use crate::error::Result;
 use crate::manifest::Manifest;
 use crate::programs::StagePrograms;
-use crate::stage::StageId;
+use crate::stage::{Filled, StageId};
 
 /// Name that the published schema goes by.
 const TITLE: &str = "rogs run manifest";
@@ -60,6 +60,12 @@ fn add_stage(definitions: &mut Map<String, Value>, stage: StageId, mut params: V
     rename_references(&mut params, stage);
     let Some(table) = params.as_object_mut() else { return };
     table.remove("$schema");
+    // What [weights] says is no parameter of a manifest.
+    let own = stage.spec().filled.iter();
+    let of_weights = own.filter(|(_, filled)| matches!(filled, Filled::Weights(_)));
+    if let Some(properties) = table.get_mut("properties").and_then(Value::as_object_mut) {
+        of_weights.for_each(|(name, _)| drop(properties.remove(*name)));
+    }
     // A misspelt parameter is an error of the plan, so the editor may say so too.
     table.insert("additionalProperties".to_owned(), false.into());
     if let Some(Value::Object(own)) = table.remove("$defs") {

@@ -8,7 +8,8 @@ use crate::columns::columns;
 use crate::error::Result;
 use crate::executor::RunOptions;
 use crate::ledger::{StageCost, read_costs};
-use crate::plan::{ClipInterval, InputSource, Plan, PlanSelection};
+use crate::plan::{ClipInterval, InputSource, Node, Plan, PlanSelection};
+use crate::stage::{FIGURES_OF, Figures, Provider};
 use crate::state::OutputState;
 use crate::sys::free_disk;
 
@@ -29,11 +30,18 @@ pub struct Estimate {
     /// The selection that they are of, in words.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub selection: Option<String>,
+    /// Cameras that clips are made of, in words.
+    pub cameras: String,
+    /// Which weights each network has, in words.
+    pub weights: Vec<String>,
+    /// What to know before the run; the orchestrator leaves it empty for whoever knows the networks.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
     /// Per node.
     pub nodes: Vec<NodeEstimate>,
-    /// Seconds on this machine with these workers; `None` when a stage has no record yet.
+    /// Seconds on this machine with these workers; `None` when nothing is known of a stage.
     pub seconds: Option<f64>,
-    /// Bytes that will be written; `None` when a stage has no record yet.
+    /// Bytes that will be written; `None` when nothing is known of a stage.
     pub disk_bytes: Option<u64>,
     /// Bytes free where the run folder lies.
     pub free_bytes: Option<u64>,
@@ -50,8 +58,10 @@ pub struct NodeEstimate {
     pub up_to_date: usize,
     /// Units to make.
     pub todo: usize,
-    /// What earlier units of the stage took, where there are any.
+    /// What earlier units of the stage took; where there are none, what a clip of this size takes about.
     pub cost: Option<StageCost>,
+    /// Whether it was measured in this run, or follows from figures of another machine.
+    pub measured: bool,
 }
 
 /// Looks at the outputs and the ledgers; changes nothing.
@@ -61,18 +71,20 @@ pub struct NodeEstimate {
 pub fn estimate(plan: &Plan, options: &RunOptions) -> Result<Estimate> {
     let costs = read_costs(&plan.run)?;
     let states = plan.states();
+    let size = size(plan);
     let node = |index: usize| {
         let up_to_date = states
             .iter()
             .filter(|clip| clip[index] == OutputState::UpToDate)
             .count();
         let node = &plan.nodes[index];
-        let cost = costs.get(node.stage.name()).copied();
+        let measured = costs.get(node.stage.name()).copied();
         NodeEstimate {
+            measured: measured.is_some(),
             node: node.label.clone(),
             up_to_date,
             todo: plan.clips.len() - up_to_date,
-            cost,
+            cost: measured.or_else(|| Some(expected(&node.stage.spec().figures, size?))),
         }
     };
     let nodes: Vec<NodeEstimate> = (0..plan.nodes.len()).map(node).collect();
@@ -85,18 +97,92 @@ pub fn estimate(plan: &Plan, options: &RunOptions) -> Result<Estimate> {
     };
     let parallel = options.workers.min(plan.clips.len()).max(1) as f64;
     Ok(Estimate {
-        format: "rogs-estimate 1",
+        format: "rogs-estimate 2",
         name: plan.name.clone(),
         clips: plan.clips.len(),
         intervals: plan.clip_intervals(),
         references: references(plan),
         selection: plan.selection.as_ref().map(PlanSelection::describe),
+        cameras: cameras(plan),
+        weights: weights(plan),
+        notes: Vec::new(),
         seconds: sum(|cost| cost.seconds).map(|seconds| seconds / parallel),
         disk_bytes: sum(|cost| cost.output_bytes as f64).map(|bytes| bytes as u64),
         free_bytes: plan.run.ancestors().find(|folder| folder.is_dir()).and_then(free_disk),
         workers: options.workers,
         nodes,
     })
+}
+
+/// How many times the clip of the built-in figures a clip of this plan is: by pixels, by pixels of all frames. None where the
+/// stage programs have no such parameters.
+fn size(plan: &Plan) -> Option<f64> {
+    let node = plan.nodes.iter().find(|node| node.stage.spec().interval.is_some())?;
+    let names = node.stage.spec().interval.as_ref()?;
+    let number = |name: &str| node.params.get(name).and_then(serde_json::Value::as_f64);
+    let [height, width] = names.size;
+    let [pixels, frames] = FIGURES_OF;
+    Some(number(height)? * number(width)? / pixels * (number(names.frames)? / frames))
+}
+
+/// What a clip costs that is so many times that of the figures.
+fn expected(figures: &Figures, times: f64) -> StageCost {
+    let bytes = |mebibytes: f64| (mebibytes * times * f64::from(1 << 20)) as u64;
+    StageCost {
+        count: 0,
+        seconds: figures.seconds * times,
+        output_bytes: bytes(figures.output_mib),
+        // The program itself and its threads take some memory too.
+        peak_rss_bytes: bytes(figures.peak_mib) + (64 << 20),
+    }
+}
+
+/// The cameras that clips are made of.
+fn cameras(plan: &Plan) -> String {
+    let cuts = |node: &&Node| node.stage.spec().interval.is_some();
+    let chosen = plan
+        .nodes
+        .iter()
+        .find(cuts)
+        .and_then(|node| node.params.get("cameras")?.as_array());
+    let ids = chosen
+        .into_iter()
+        .flatten()
+        .filter_map(|camera| camera.get("id")?.as_str());
+    let ids: Vec<&str> = ids.collect();
+    if ids.is_empty() {
+        "all that an episode names".to_owned()
+    } else {
+        ids.join(", ")
+    }
+}
+
+/// Which weights the nodes have that take some.
+fn weights(plan: &Plan) -> Vec<String> {
+    let of = |node: &Node| {
+        let taken = node
+            .stage
+            .spec()
+            .inputs
+            .iter()
+            .filter(|input| matches!(input.provider, Provider::Weights(_)));
+        let files: Vec<String> = taken
+            .filter_map(|input| {
+                let found = node.inputs.iter().find(|own| own.role == input.role)?;
+                let InputSource::Source(source) = &found.from else {
+                    return None;
+                };
+                Some(format!("{}: {} `{}`", node.label, input.role, source.path.display()))
+            })
+            .collect();
+        let unfiled = node.params.get("weights").and_then(serde_json::Value::as_str);
+        let unfiled = unfiled.map(|word| match word.split(' ').next() {
+            Some("builtin") => format!("{}: built-in weights", node.label),
+            _ => format!("{}: SEEDED weights: random values, which predict nothing", node.label),
+        });
+        unfiled.into_iter().chain(files).collect::<Vec<_>>()
+    };
+    plan.nodes.iter().flat_map(of).collect()
 }
 
 /// Clips that have a reference, by role, for all roles that some clip might have.
@@ -141,15 +227,24 @@ impl Estimate {
         }
         let references = self.references.iter();
         lines.extend(references.map(|(role, clips)| format!("{role}: {clips} of {} clips", self.clips)));
+        lines.push(format!("cameras: {}", self.cameras));
+        lines.extend(self.weights.iter().cloned());
         lines.extend(columns(&rows));
+        let guessed = self.nodes.iter().any(|node| node.todo > 0 && !node.measured);
+        let from = if guessed {
+            ", estimated: not all stages have run here yet"
+        } else {
+            ""
+        };
         lines.push(match self.seconds {
-            Some(seconds) => format!("about {} with {} workers", duration(seconds), self.workers),
+            Some(seconds) => format!("about {} with {} workers{from}", duration(seconds), self.workers),
             None => "no estimate of time: some stage has not run here yet".to_owned(),
         });
         let gibibytes = |bytes: u64| bytes as f64 / f64::from(1 << 30);
         if let (Some(need), Some(free)) = (self.disk_bytes.map(gibibytes), self.free_bytes.map(gibibytes)) {
             lines.push(format!("about {need:.2} GiB to write, {free:.1} GiB free"));
         }
+        lines.extend(self.notes.iter().map(|note| format!("note: {note}")));
         lines.join("\n")
     }
 }

@@ -29,8 +29,33 @@ pub struct StageSpec {
     pub interval: Option<Interval>,
     /// What it makes does not depend on the observations: a rollout reads what was made of the recorded clip.
     pub blind: bool,
+    /// What a clip costs where nothing has been measured yet.
+    pub figures: Figures,
     /// It runs only where the manifest has its table or names it, and what reads it does without it else.
     pub asked: bool,
+}
+
+/// What a unit costs, about: a clip of 17 frames of 280x154 pixels of three cameras at five source times, on two cores of a
+/// laptop (`docs/performance.md`). Other clips cost as their pixels.
+#[derive(Debug, Clone, Copy)]
+pub struct Figures {
+    /// Seconds.
+    pub seconds: f64,
+    /// MiB of the output.
+    pub output_mib: f64,
+    /// MiB that the worker takes.
+    pub peak_mib: f64,
+}
+
+/// The clip that [`Figures`] are of: pixels of an image, and frames.
+pub const FIGURES_OF: [f64; 2] = [280.0 * 154.0, 17.0];
+
+const fn figures(seconds: f64, output_mib: f64, peak_mib: f64) -> Figures {
+    Figures {
+        seconds,
+        output_mib,
+        peak_mib,
+    }
 }
 
 /// The parameters that say which frames of an episode are a clip.
@@ -44,6 +69,8 @@ pub struct Interval {
     pub frames: &'static str,
     /// Episode frames from one to the next.
     pub step: &'static str,
+    /// Height and width of its images, pixels.
+    pub size: [&'static str; 2],
 }
 
 /// An input of a stage.
@@ -145,6 +172,8 @@ pub enum Filled {
     Observations,
     /// How the files of `[rollouts]` lie.
     Rollout,
+    /// The network where `[weights]` names no file: the built-in one, or `"seeded"`.
+    Weights(WeightsRole),
 }
 
 impl Input {
@@ -190,6 +219,7 @@ impl StageSpec {
         selector: None,
         interval: None,
         blind: false,
+        figures: figures(1.0, 1.0, 256.0),
         asked: false,
     };
 
@@ -279,7 +309,9 @@ stages! {
                       0 where the clip would not fit)",
             frames: "frames",
             step: "frame_step",
+            size: ["height", "width"],
         }),
+        figures: figures(0.3, 20.0, 110.0),
         outputs: &[Output::new("ingest", "clip.r4c")],
         ..StageSpec::PLAIN
     };
@@ -287,6 +319,7 @@ stages! {
     RobotMaps = "robot-maps": StageSpec {
         inputs: &[CLIP, Input::of(ROBOT_MODEL, Provider::Robot)],
         filled: &[("robot", Filled::RobotSpec)],
+        figures: figures(0.2, 1.4, 125.0),
         outputs: &[Output::new("robot-maps", "robot.r4c")],
         blind: true,
         ..StageSpec::PLAIN
@@ -294,6 +327,7 @@ stages! {
     /// How far forward kinematics moves every pixel of the robot.
     Conditioning = "conditioning": StageSpec {
         inputs: &[CLIP, ROBOT],
+        figures: figures(0.1, 5.0, 145.0),
         outputs: &[Output::new("conditioning", "conditioning.r4c")],
         blind: true,
         ..StageSpec::PLAIN
@@ -301,6 +335,7 @@ stages! {
     /// What a clip is scored against, where it comes without.
     References = "references": StageSpec {
         inputs: &[CLIP, ROBOT],
+        figures: figures(5.0, 10.0, 300.0),
         outputs: &[Output::new("references", "references.r4c")],
         blind: true,
         asked: true,
@@ -326,6 +361,8 @@ stages! {
                 hint: "name it under [weights]: adapter = \"FILE\"",
             }),
         ],
+        filled: &[("weights", Filled::Weights(WeightsRole::Lift))],
+        figures: figures(6.5, 95.0, 470.0),
         outputs: &[Output::new("lift", "field-1.r4c")],
         ..StageSpec::PLAIN
     };
@@ -338,6 +375,8 @@ stages! {
             Input::of("weights", Provider::Weights(WeightsRole::Refine)),
             Input::of("resume", Provider::Hand),
         ],
+        filled: &[("weights", Filled::Weights(WeightsRole::Refine))],
+        figures: figures(9.7, 90.0, 850.0),
         outputs: &[Output::new("refine", "field-2.r4c")],
         ..StageSpec::PLAIN
     };
@@ -353,6 +392,7 @@ stages! {
             Input::of("lpips", Provider::Weights(WeightsRole::Lpips)),
         ],
         filled: &[("method", Filled::Method)],
+        figures: figures(1.8, 10.0, 850.0),
         outputs: &[
             Output {
                 method: "stage1",

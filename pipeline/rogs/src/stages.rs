@@ -50,16 +50,19 @@ mod tests {
         described.sort_unstable();
         assert_eq!(known, described, "inputs of {id}");
         let defaults = serde_json::to_value(S::Params::default()).unwrap();
-        let filled = spec.filled.iter().map(|(name, _)| *name);
+        let schema = rogs_worker::describe::<S>(&serde_json::Value::Null)
+            .unwrap()
+            .params_schema;
+        for (name, _) in spec.filled {
+            assert!(
+                schema["properties"].get(name).is_some(),
+                "{id} has no parameter `{name}`"
+            );
+        }
         let deciding = spec.inputs.iter().filter_map(|input| Some(input.when.as_ref()?.param));
         let unless = spec.outputs.iter().filter_map(|output| output.unless);
         let interval = spec.interval.iter().flat_map(|own| [own.start, own.frames, own.step]);
-        for name in filled
-            .chain(deciding)
-            .chain(unless)
-            .chain(spec.selector)
-            .chain(interval)
-        {
+        for name in deciding.chain(unless).chain(spec.selector).chain(interval) {
             assert!(defaults.get(name).is_some(), "{id} has no parameter `{name}`");
         }
     }

@@ -49,9 +49,17 @@ pub struct LoadedStage1 {
 /// # Errors
 /// When the file cannot be read, is not a Stage-1 checkpoint, or its tensors are not those of its configuration.
 pub fn open_stage1(path: &Path, device: &Device) -> Result<LoadedStage1> {
-    let file = TensorFile::open(path)?;
+    read_stage1(TensorFile::open(path)?, device)
+}
+
+/// The same from an open file.
+///
+/// # Errors
+/// As for [`open_stage1`].
+pub fn read_stage1(file: TensorFile, device: &Device) -> Result<LoadedStage1> {
+    let path = file.path().to_owned();
     let bad = |reason: String| rogs_weights::Error::BadFile {
-        path: path.to_owned(),
+        path: path.clone(),
         reason,
     };
     let metadata = file.metadata();
@@ -68,7 +76,7 @@ pub fn open_stage1(path: &Path, device: &Device) -> Result<LoadedStage1> {
         .map_err(|error| bad(format!("its configuration cannot be understood: {error}")))?;
     config.validate()?;
     let report = verify_stage1(&file, &config);
-    report.into_result(path)?;
+    report.into_result(&path)?;
     let procedural_only = metadata.get(TRAINING_DOMAIN).is_some_and(|value| value == PROCEDURAL);
     let (trained, provenance) = (
         metadata.get(TRAINED).is_some_and(|value| value == "true"),

@@ -25,7 +25,7 @@ pub mod seeded;
 pub mod stem;
 pub mod sweep;
 
-pub use checkpoint::{LoadedStage1, STAGE1, open_stage1, stage1_metadata, verify_stage1};
+pub use checkpoint::{LoadedStage1, STAGE1, open_stage1, read_stage1, stage1_metadata, verify_stage1};
 pub use config::{HeadKind, Stage1Config};
 pub use encoded::Encoded;
 pub use frames::{Attention, SourceFrames};

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use burn::tensor::Device;
 use rogs_tensors::parameters::Parameters;
-use rogs_weights::{Error, open_any};
+use rogs_weights::{Error, ParameterSource, open_any};
 
 use super::RefinerConfig;
 use super::weights::parameter_shapes;
@@ -23,7 +23,15 @@ const FOLDERS: [&str; 3] = ["", "state_dict.", "model."];
 /// When the file cannot be read, or one of its tensors has another shape or a type that is not a floating-point one.
 pub fn read_weights(path: &Path, config: &RefinerConfig, device: &Device) -> Result<Parameters> {
     config.validate()?;
-    let file = open_any(path)?;
+    read_parameters(&*open_any(path)?, config, device)
+}
+
+/// The same from an open source.
+///
+/// # Errors
+/// As for [`read_weights`].
+pub fn read_parameters(file: &dyn ParameterSource, config: &RefinerConfig, device: &Device) -> Result<Parameters> {
+    config.validate()?;
     let mut parameters = Parameters::new(device);
     for (name, expected) in parameter_shapes(config) {
         let names = FOLDERS.map(|folder| format!("{folder}{name}"));

@@ -26,7 +26,7 @@ pub mod weights;
 pub use burn::tensor::Device;
 pub use config::RefinerConfig;
 pub use error_encoder::ErrorEncoder;
-pub use import::read_weights;
+pub use import::{read_parameters, read_weights};
 pub use knn::nearest_neighbours;
 pub use refiner::{Refiner, TokenSet};
 pub use released::{ReleasedImport, ReleasedModel, import_released, verify_released};

@@ -1,22 +1,40 @@
-//! A mapped safetensors file.
+//! A safetensors file, mapped or inside the program.
 
 use std::collections::BTreeMap;
 use std::fs::File;
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
 use memmap2::Mmap;
 
 use super::header::{self, MAX_HEADER_BYTES, TensorEntry};
-use crate::ParameterSource;
+use crate::{Bundled, ParameterSource};
 use crate::{Error, Result};
 
-/// A safetensors file mapped into memory.
+/// A safetensors file mapped into memory, or one inside the program.
 pub struct TensorFile {
     path: PathBuf,
-    map: Mmap,
+    bytes: Bytes,
     data_start: usize,
     tensors: BTreeMap<String, TensorEntry>,
     metadata: BTreeMap<String, String>,
+}
+
+/// Where the bytes of a file are.
+enum Bytes {
+    Mapped(Mmap),
+    Bundled(&'static [u8]),
+}
+
+impl Deref for Bytes {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        match self {
+            Self::Mapped(map) => map,
+            Self::Bundled(bytes) => bytes,
+        }
+    }
 }
 
 impl TensorFile {
@@ -29,25 +47,36 @@ impl TensorFile {
             path: path.to_owned(),
             source,
         };
+        let file = rogs_files::open(path).map_err(io)?;
+        Self::read(path, Bytes::Mapped(map_read_only(&file).map_err(io)?))
+    }
+
+    /// A file inside the program, under its name.
+    ///
+    /// # Errors
+    /// When it is damaged.
+    pub fn bundled(file: &Bundled) -> Result<Self> {
+        Self::read(Path::new(file.name), Bytes::Bundled(file.bytes))
+    }
+
+    fn read(path: &Path, bytes: Bytes) -> Result<Self> {
         let bad = |reason: String| Error::BadFile {
             path: path.to_owned(),
             reason,
         };
-        let file = rogs_files::open(path).map_err(io)?;
-        let map = map_read_only(&file).map_err(io)?;
-        let Some(length) = map.first_chunk::<8>().map(|bytes| u64::from_le_bytes(*bytes)) else {
+        let Some(length) = bytes.first_chunk::<8>().map(|bytes| u64::from_le_bytes(*bytes)) else {
             return Err(bad("it is too short to be a safetensors file".into()));
         };
-        if length > MAX_HEADER_BYTES || length > (map.len() - 8) as u64 {
+        if length > MAX_HEADER_BYTES || length > (bytes.len() - 8) as u64 {
             return Err(bad(format!(
                 "it claims a header of {length} bytes: not a safetensors file, or cut short"
             )));
         }
         let data_start = 8 + length as usize;
-        let (tensors, metadata) = header::parse(&map[8..data_start], map.len() - data_start).map_err(bad)?;
+        let (tensors, metadata) = header::parse(&bytes[8..data_start], bytes.len() - data_start).map_err(bad)?;
         Ok(Self {
             path: path.to_owned(),
-            map,
+            bytes,
             data_start,
             tensors,
             metadata,
@@ -99,7 +128,7 @@ impl ParameterSource for TensorFile {
             .get(name)
             .ok_or_else(|| Error::MissingTensor { name: name.to_owned() })?;
         let start = self.data_start + entry.start;
-        let bytes = &self.map[start..start + entry.bytes];
+        let bytes = &self.bytes[start..start + entry.bytes];
         entry.stored.to_f32(bytes).map_err(|reason| Error::BadFile {
             path: self.path.clone(),
             reason: format!("the tensor `{name}` {reason}"),

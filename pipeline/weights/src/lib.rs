@@ -6,6 +6,7 @@
 //! tensor by tensor ([`write()`]), so that it may be larger than memory. Which tensors a network has is not known here.
 
 mod average;
+mod bundled;
 mod error;
 mod file;
 mod header;
@@ -17,6 +18,7 @@ mod verify;
 mod write;
 
 pub use average::average;
+pub use bundled::{BUILTIN, Bundled, SEEDED, Unfiled};
 pub use error::{Error, Result};
 pub use file::TensorFile;
 pub use header::{ElementType, StoredType, TensorEntry};

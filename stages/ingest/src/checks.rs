@@ -88,8 +88,8 @@ pub(crate) fn states(states: &States, row_name: &str, path: &Path) -> StageResul
             if value.abs() > DEGREES {
                 let text = format!("joint `{name}` is {value} at {row_name} {row}");
                 return Err(wrong(path, text).with_hint(
-                    "joint positions are radians; were these degrees? `ingest.states.unit = \"degrees\"` converts them, \
-                     `ingest.states.gripper_range = [100, 0]` a gripper in percent (entry `gripper.pos` of SO-100 and SO-101)",
+                    "joint positions are radians; were these degrees? Under [ingest.states] of the manifest, unit = \"degrees\" \
+                     converts them, gripper_range = [100, 0] a gripper in percent (entry `gripper.pos` of SO-100 and SO-101)",
                 ));
             }
         }
@@ -98,8 +98,8 @@ pub(crate) fn states(states: &States, row_name: &str, path: &Path) -> StageResul
         if !(-1e-6..=1.0 + 1e-6).contains(&value) {
             let text = format!("the gripper is {value} at {row_name} {row}, it must be in 0 (open) to 1 (closed)");
             return Err(wrong(path, text).with_hint(
-                "`ingest.states.gripper_range = [OPEN, CLOSED]` says which values of the data mean open and closed, e.g. \
-                 [100, 0] for percent of opening",
+                "under [ingest.states] of the manifest, gripper_range = [OPEN, CLOSED] says which values of the data mean \
+                 open and closed, e.g. [100, 0] for percent of opening",
             ));
         }
     }

@@ -15,6 +15,7 @@ mod images;
 mod layouts;
 mod listing;
 mod media;
+mod outline;
 mod params;
 mod pointworld;
 mod resize;
@@ -37,14 +38,16 @@ use rogs_schemas::shown;
 use rogs_worker::{Context, Stage, StageError, StageResult};
 
 pub use crate::params::{DroidParams, IdleSteps};
-pub use listing::{EpisodeListing, list_episodes};
+pub use listing::{EpisodeListing, count_frames, list_episodes};
 pub use media::{MediaReport, media_report};
+pub use outline::outline;
 pub use params::{
     CameraChoice, Fit, LayoutChoice, Observations, Params, PointWorldParams, QueryChoice, QueryPlanName, RolloutLayout,
     RolloutParams, StateColumns,
 };
 pub use pointworld::{PointWorldFiles, ReferenceFiles, list_references};
 pub use rollout::compose;
+pub use source::EpisodeOutline;
 pub use survey::{EpisodeContent, EpisodeFacts, survey};
 
 /// The stage.

@@ -40,7 +40,7 @@ pub fn list_episodes(root: &Path) -> StageResult<Vec<EpisodeListing>> {
         None => Vec::new(),
     };
     // A data set of its own may lie in a folder of a Ctrl-World tree; below the others there are only their own files.
-    if !found.is_empty() && found.iter().any(|episode| episode.layout != "droid-ctrlworld") {
+    if !found.is_empty() && found.iter().any(|episode| episode.layout != ctrlworld::LAYOUT) {
         return Ok(found);
     }
     let entries = std::fs::read_dir(root).map_err(|error| io_error(root, &error))?;
@@ -82,7 +82,7 @@ fn list(folder: &Path, relative: &str, layout: Layout) -> StageResult<Vec<Episod
             };
             Ok(vec![listing(
                 id,
-                "rogs-episode",
+                rogs_episode::LAYOUT,
                 String::new(),
                 frames,
                 all_files(folder)?,
@@ -90,11 +90,11 @@ fn list(folder: &Path, relative: &str, layout: Layout) -> StageResult<Vec<Episod
         }
         Layout::DroidCtrlworld => {
             let one = |selector: String| match ctrlworld::files(folder, &selector) {
-                Ok((id, frames, files)) => listing(id, "droid-ctrlworld", selector, Some(frames.into()), files),
+                Ok((id, frames, files)) => listing(id, ctrlworld::LAYOUT, selector, Some(frames.into()), files),
                 Err(_) => {
                     let id = selector.rsplit('/').next().unwrap_or(&selector).to_owned();
                     let files = vec![format!("annotation/{selector}.json")];
-                    listing(id, "droid-ctrlworld", selector, None, files)
+                    listing(id, ctrlworld::LAYOUT, selector, None, files)
                 }
             };
             Ok(ctrlworld::selectors(folder)?.into_iter().map(one).collect())
@@ -150,7 +150,7 @@ fn list_droid(folder: &Path, relative: &str) -> StageResult<Vec<EpisodeListing>>
 }
 
 /// Fills in the frames that a listing does not know by itself: those of raw DROID, whose metadata are read for it.
-pub(crate) fn count_frames(root: &Path, episodes: &mut [EpisodeListing]) {
+pub fn count_frames(root: &Path, episodes: &mut [EpisodeListing]) {
     let unknown = episodes.par_iter_mut().filter(|episode| episode.frames.is_none());
     unknown.for_each(|episode| {
         if episode.layout == droid::LAYOUT {

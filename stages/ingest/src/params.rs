@@ -13,7 +13,7 @@ use crate::source::States;
 pub struct Params {
     /// Layout of the episode folder.
     pub layout: LayoutChoice,
-    /// Which episode of the folder: the selector of `rogs stage ingest list`. Empty when the folder holds only one.
+    /// Which episode of the folder: the selector of `rogs list`. Empty when the folder holds only one.
     #[serde(deserialize_with = "text_or_number")]
     pub episode: String,
     /// Episode frame that becomes clip frame 0. `null`: the anchor frame of the episode's tracks where it has tracks;
@@ -208,7 +208,8 @@ pub struct StateColumns {
     /// Names of these joints in the URDF. Empty: `panda_joint1` to `panda_joint7` for seven joints of a Franka arm, else
     /// the names in the data.
     pub joint_names: Vec<String>,
-    /// Entry of `observation.state` that is the gripper. `null`: `observation.state.gripper_position`, or `gripper`.
+    /// Entry of `observation.state` that is the gripper. `null`: `observation.state.gripper_position`, or `gripper`. Empty:
+    /// the robot has none; then the table of an own episode needs no column for it either.
     pub gripper: Option<String>,
     /// The data has 1 for open: take 1 - value.
     pub invert_gripper: bool,
@@ -238,6 +239,9 @@ impl StateColumns {
                 .positions
                 .iter_mut()
                 .for_each(|value| *value = value.to_radians());
+        }
+        if self.gripper.as_deref() == Some("") {
+            return;
         }
         for value in &mut states.gripper {
             if let Some([open, closed]) = self.gripper_range {

@@ -94,6 +94,23 @@ pub(crate) struct CachedDepth {
     pub(crate) size: (u32, u32),
 }
 
+/// An episode in words.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct EpisodeOutline {
+    /// Cameras that reconstruct, as the data calls them.
+    pub cameras: Vec<String>,
+    /// Arm joints as the URDF should call them; empty where the data leaves that open.
+    pub joints: Vec<String>,
+    /// Entries of the state, where joints and gripper have to be picked out of them.
+    pub state_entries: Vec<String>,
+    /// The robot, as the data calls it.
+    pub robot: Option<String>,
+    /// URDF that the episode brings along, relative to the listed root.
+    pub model: Option<String>,
+    /// Where its cameras are comes with it, or lies beside it.
+    pub calibrated: bool,
+}
+
 /// Joints and gripper at every frame.
 #[derive(Debug, Clone)]
 pub(crate) struct States {

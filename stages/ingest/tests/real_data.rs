@@ -210,7 +210,7 @@ fn lerobot_v21_with_av1_goes_as_far_as_its_data() {
     );
     let no_gripper = read_clip(&root, None, &params("10"), "c").unwrap_err();
     assert!(no_gripper.message.contains("names no gripper"), "{no_gripper}");
-    assert!(no_gripper.hint.unwrap().contains("states.gripper"));
+    assert!(no_gripper.hint.unwrap().contains("[ingest.states]"));
     let scratch = Scratch::new("v21");
     let calibration = scratch.0.join("calibration.json");
     let text = r#"{"image_size": [640, 480], "cameras": {"wrist": {"intrinsic": [[600, 0, 320], [0, 600, 240], [0, 0, 1]],

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::{Device, Tensor};
 pub use lifting::MotionOptions;
-pub use model::{COMPACT_WEIGHTS, Model, load_model};
+pub use model::{BUILTIN, BUILTIN_SIZE, COMPACT_WEIGHTS, Model, load_model};
 pub use params::{CrossCamera, LiftParams, ProductPrecision, QueryState, RobotMotion, TokenSource};
 pub use query::FieldQuery;
 use rogs_r4c::Record;
@@ -92,6 +92,9 @@ impl Stage for Lift {
         }
         let clip: Clip = context.read("clip")?;
         if let Some(warning) = self.model.out_of_distribution(&clip) {
+            context.warn(warning);
+        }
+        if let Some(warning) = self.model.other_size(&clip) {
             context.warn(warning);
         }
         let robot: RobotMaps = context.read("robot")?;

@@ -5,9 +5,9 @@ use std::path::Path;
 use burn::tensor::Device;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::WeightsInfo;
-use rogs_stage1::open_stage1;
-use rogs_stage1::{Stage1, Stage1Config, seeded};
+use rogs_stage1::{LoadedStage1, Stage1, Stage1Config, open_stage1, read_stage1, seeded};
 use rogs_tensors::device;
+use rogs_weights::{Bundled, TensorFile, Unfiled};
 use rogs_worker::{StageError, StageResult};
 
 use crate::params::LiftParams;
@@ -17,6 +17,12 @@ use crate::stage_error;
 /// model card is `stages/lift/weights/README.md`.
 pub static COMPACT_WEIGHTS: &[u8] = include_bytes!("../weights/compact-stage1.safetensors");
 
+/// The same with its name: what a run takes that names no weights.
+pub static BUILTIN: Bundled = Bundled::new("compact-stage1.safetensors", COMPACT_WEIGHTS);
+
+/// Height and width of the images that the bundled checkpoint was trained at, pixels.
+pub const BUILTIN_SIZE: [u32; 2] = [84, 154];
+
 /// A network and what is known about its weights.
 pub struct Model {
     /// The network.
@@ -25,9 +31,22 @@ pub struct Model {
     pub info: WeightsInfo,
     /// Whether the weights have seen nothing but procedural clips.
     pub procedural_only: bool,
+    /// Height and width of the images that the weights are for, pixels, where that is known.
+    pub made_for: Option<[u32; 2]>,
 }
 
 impl Model {
+    /// What a person should know when the images of this clip are not of the size that the weights are for.
+    #[must_use]
+    pub fn other_size(&self, clip: &Clip) -> Option<String> {
+        let [height, width] = self.made_for.filter(|size| *size != [clip.height, clip.width])?;
+        Some(format!(
+            "the built-in weights were trained on images of {width}x{height} pixels, and this clip has {}x{}: expect a worse \
+             field; `height = {height}` and `width = {width}` under [ingest] give their size",
+            clip.width, clip.height
+        ))
+    }
+
     /// What a person should know when this clip is not of the kind that the weights were trained on.
     #[must_use]
     pub fn out_of_distribution(&self, clip: &Clip) -> Option<String> {
@@ -41,15 +60,17 @@ impl Model {
     }
 }
 
-/// Loads the network of a weights file, or generates weights from the seed when there is none.
+/// Loads the network of a weights file; without one the built-in network, or where `params.weights` asks for it one that is
+/// generated from the seed.
 ///
 /// # Errors
-/// When the file cannot be read or is not a Stage-1 checkpoint, or the configuration is not known.
+/// When the file cannot be read or is not a Stage-1 checkpoint, or the configuration is not known or not the built-in one.
 pub fn load_model(params: &LiftParams, weights: Option<&Path>) -> StageResult<Model> {
     let device = device::open(params.device).map_err(stage_error)?;
     let mut model = match weights {
         Some(path) => read(path, &device)?,
-        None => generated(params, &device)?,
+        None if params.weights == Some(Unfiled::Seeded) => generated(params, &device)?,
+        None => builtin(params, &device)?,
     };
     model.network.precision = params.precision.into();
     Ok(model)
@@ -63,17 +84,42 @@ fn read(path: &Path, device: &Device) -> StageResult<Model> {
         .update_reader(std::fs::File::open(path).map_err(io)?)
         .map_err(io)?;
     let file = path.file_name().unwrap_or_default().to_string_lossy();
+    Ok(model_of(loaded, &file, hasher.finalize().to_hex().to_string()))
+}
+
+fn builtin(params: &LiftParams, device: &Device) -> StageResult<Model> {
+    let file = TensorFile::bundled(&BUILTIN).map_err(stage_error)?;
+    let loaded = read_stage1(file, device).map_err(stage_error)?;
+    let own = &loaded.network.config.name;
+    let asked = &params.configuration;
+    if *asked != LiftParams::default().configuration && asked != own {
+        let text = format!("`configuration = \"{asked}\"`: the built-in network is `{own}`");
+        return Err(StageError::bad_params(text).with_hint(
+            "name a weights file under [weights]: lift = \"FILE\"; or ask for random weights: lift = \"seeded\"",
+        ));
+    }
+    Ok(model_of(
+        loaded,
+        &format!("built-in {}", BUILTIN.name),
+        BUILTIN.hash().to_owned(),
+    ))
+}
+
+/// A model of a checkpoint that goes by a name.
+fn model_of(loaded: LoadedStage1, name: &str, hash: String) -> Model {
+    let made_for = (hash == BUILTIN.hash()).then_some(BUILTIN_SIZE);
     let info = WeightsInfo {
         trained: loaded.trained,
         configuration: loaded.network.config.name.clone(),
-        description: format!("{file}: {}", loaded.provenance),
-        hash: hasher.finalize().to_hex().to_string(),
+        description: format!("{name}: {}", loaded.provenance),
+        hash,
     };
-    Ok(Model {
+    Model {
         network: loaded.network,
         info,
         procedural_only: loaded.procedural_only,
-    })
+        made_for,
+    }
 }
 
 fn generated(params: &LiftParams, device: &Device) -> StageResult<Model> {
@@ -89,5 +135,6 @@ fn generated(params: &LiftParams, device: &Device) -> StageResult<Model> {
         network,
         info,
         procedural_only: false,
+        made_for: None,
     })
 }

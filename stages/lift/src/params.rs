@@ -3,17 +3,20 @@
 use rogs_field::gates::{MOTION_GATE_IU, MotionGates};
 use rogs_schemas::{Device, FrameIndex};
 use rogs_stage1::Precision;
+use rogs_weights::Unfiled;
 use rogs_worker::{StageError, StageResult};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use crate::model::BUILTIN;
 
 /// What determines a field besides its inputs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct LiftParams {
-    /// Sizes of the network when there is no weights file: `compact`, `compact-sweep` or `full`. A weights file brings its own.
+    /// Sizes of seeded networks: `compact`, `compact-sweep` or `full`. Trained weights bring their own.
     pub configuration: String,
-    /// Seed of generated weights, when there is no weights file.
+    /// Seed of seeded weights.
     pub seed: u64,
     /// Mesh source anchoring: source depth of robot pixels is the mesh depth.
     pub anchoring: bool,
@@ -44,6 +47,13 @@ pub struct LiftParams {
     pub tokens: TokenSource,
     /// Pixels per latent that the latents must have (8 or 16); null for what their file says.
     pub latent_stride: Option<u32>,
+    /// The network where no weights file is given: `builtin` (also null), or `seeded` for random values.
+    #[serde(deserialize_with = "unfiled", skip_serializing_if = "Option::is_none")]
+    pub weights: Option<Unfiled>,
+}
+
+fn unfiled<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<Unfiled>, D::Error> {
+    Unfiled::read(deserializer, &BUILTIN)
 }
 
 /// Precision of large matrix products; sums and everything else are f32.
@@ -130,6 +140,7 @@ impl Default for LiftParams {
             device: Device::Cpu,
             tokens: TokenSource::Rgb,
             latent_stride: None,
+            weights: None,
         }
     }
 }

@@ -11,7 +11,7 @@ use rogs_lift::latents::{LATENTS, open_adapter};
 use rogs_lift::{ClipInputs, LiftParams, Model, TokenSource, lift_clip, load_model};
 use rogs_schemas::records::field::Field;
 use rogs_tensors::parameters::Parameters;
-use rogs_weights::{ElementType, KIND, TensorSource, write};
+use rogs_weights::{ElementType, KIND, TensorSource, Unfiled, write};
 use rogs_worker::{StageResult, Unobserved};
 use support::small_clip;
 
@@ -104,6 +104,7 @@ fn latents_take_the_place_of_rgb_tokens_at_either_stride_and_layout() {
     let folder = tempfile::tempdir().unwrap();
     let params = LiftParams {
         tokens: TokenSource::Latents,
+        weights: Some(Unfiled::Seeded),
         ..LiftParams::default()
     };
     let model = load_model(&params, None).unwrap();
@@ -160,6 +161,7 @@ fn latents_that_do_not_fit_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let params = LiftParams {
         tokens: TokenSource::Latents,
+        weights: Some(Unfiled::Seeded),
         ..LiftParams::default()
     };
     let model = load_model(&params, None).unwrap();

@@ -11,6 +11,7 @@ use rogs_schemas::records::clip::DepthReference;
 use rogs_schemas::records::field::{Field, GATE_ATTRIBUTES, RAW_CHANNELS};
 use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::records::robot::NO_LINK;
+use rogs_weights::Unfiled;
 use rogs_worker::Unobserved;
 use support::{FRAMES, Inputs, MESH_DEPTH_M, small_clip};
 
@@ -29,8 +30,16 @@ fn robot_pixels() -> Vec<u32> {
         .collect()
 }
 
+/// The same parameters for a network of random weights.
+fn seeded(params: &LiftParams) -> LiftParams {
+    LiftParams {
+        weights: Some(Unfiled::Seeded),
+        ..params.clone()
+    }
+}
+
 fn model(params: &LiftParams) -> Model {
-    load_model(params, None).unwrap()
+    load_model(&seeded(params), None).unwrap()
 }
 
 /// A model whose motion and FK branch are not zero, as after some training.
@@ -54,6 +63,7 @@ fn moving_model() -> Model {
         network,
         info: model.info,
         procedural_only: false,
+        made_for: None,
     }
 }
 
@@ -299,7 +309,7 @@ fn inputs_that_do_not_belong_together_are_named() {
     let unknown = load_model(
         &LiftParams {
             configuration: "huge".into(),
-            ..params.clone()
+            ..seeded(&params)
         },
         None,
     );

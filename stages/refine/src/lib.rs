@@ -6,7 +6,7 @@
 //! query times alike, so that the displacement of a Gaussian between any two times stays that of Stage 1, bit for bit.
 //! The output holds nothing else than the corrections.
 //!
-//! Without a weights file the network is seeded and untrained; as its last layer starts at zero, the correction is then
+//! Seeded weights are untrained; as its last layer starts at zero, the correction is then
 //! exactly zero. Outputs and warnings say so.
 
 mod params;
@@ -32,7 +32,7 @@ use rogs_worker::{Context, Stage, StageError, StageResult};
 pub use params::{MOST_UPDATES, RefineParams};
 pub use recurrence::ClipInputs;
 pub use refinement::refine;
-pub use weights::{CI_WEIGHTS, LoadedRefiner, load_refiner};
+pub use weights::{BUILTIN, CI_WEIGHTS, LoadedRefiner, load_refiner};
 
 /// The stage.
 pub struct Refine {

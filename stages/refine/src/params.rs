@@ -3,9 +3,12 @@
 use rogs_schemas::Device;
 use rogs_schemas::records::refinement::ScaleResidual;
 use rogs_stage2::RefinerConfig;
+use rogs_weights::Unfiled;
 use rogs_worker::{StageError, StageResult};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use crate::weights::BUILTIN;
 
 /// Most updates a run may ask for; training uses 1 to 4.
 pub const MOST_UPDATES: u32 = 64;
@@ -28,10 +31,17 @@ pub struct RefineParams {
     pub scale_residual: ScaleResidual,
     /// Search neighbours at the corrected centres of each update instead of the Stage-1 centres.
     pub recompute_knn: bool,
-    /// Seed of the weights when no weights file is given.
+    /// Seed of seeded weights.
     pub seed: u64,
     /// Where the updater runs: `cpu`, or `gpu` where the program was built with the feature `gpu`.
     pub device: Device,
+    /// The network where no weights file is given: `builtin` (also null), or `seeded`, which corrects nothing.
+    #[serde(deserialize_with = "unfiled", skip_serializing_if = "Option::is_none")]
+    pub weights: Option<Unfiled>,
+}
+
+fn unfiled<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<Unfiled>, D::Error> {
+    Unfiled::read(deserializer, &BUILTIN)
 }
 
 impl Default for RefineParams {
@@ -46,6 +56,7 @@ impl Default for RefineParams {
             recompute_knn: false,
             seed: 0,
             device: Device::Cpu,
+            weights: None,
         }
     }
 }

@@ -3,8 +3,11 @@
 use std::path::Path;
 
 use rogs_schemas::records::field::WeightsInfo;
-use rogs_stage2::{Device, Refiner, RefinerConfig, read_weights, seeded_parameters, verify_parameters};
+use rogs_stage2::{
+    Device, Refiner, RefinerConfig, read_parameters, read_weights, seeded_parameters, verify_parameters,
+};
 use rogs_tensors::device;
+use rogs_weights::{Bundled, TensorFile, Unfiled};
 use rogs_worker::{StageError, StageResult};
 
 use crate::RefineParams;
@@ -23,17 +26,51 @@ pub struct LoadedRefiner {
 /// only. Its model card is `stages/refine/weights/README.md`.
 pub static CI_WEIGHTS: &[u8] = include_bytes!("../weights/ci-stage2.safetensors");
 
-/// Loads a weights file, or makes seeded weights when there is none.
+/// The same with its name: what a run takes that names no weights.
+pub static BUILTIN: Bundled = Bundled::new("ci-stage2.safetensors", CI_WEIGHTS);
+
+/// The preset of the bundled refiner.
+const BUILTIN_PRESET: &str = "ci";
+
+/// Loads a weights file; without one the built-in refiner, or where `params.weights` asks for it a seeded one.
 ///
 /// # Errors
-/// When the file cannot be read or does not fit the preset.
+/// When the file cannot be read or does not fit the preset, or the preset is not that of the built-in refiner.
 pub fn load_refiner(params: &RefineParams, weights: Option<&Path>) -> StageResult<LoadedRefiner> {
     let (config, _) = params.resolve()?;
     let device = device::open(params.device).map_err(|error| StageError::bad_params(error.to_string()))?;
     match weights {
         Some(path) => from_file(params, &config, path, &device),
-        None => seeded(params, &config, &device),
+        None if params.weights == Some(Unfiled::Seeded) => seeded(params, &config, &device),
+        None => builtin(&config, &device),
     }
+}
+
+fn builtin(config: &RefinerConfig, device: &Device) -> StageResult<LoadedRefiner> {
+    if config.name != BUILTIN_PRESET {
+        let text = format!(
+            "`preset = \"{}\"`: the built-in refiner is `{BUILTIN_PRESET}`",
+            config.name
+        );
+        return Err(StageError::bad_params(text).with_hint(
+            "name a weights file under [weights]: refine = \"FILE\"; or ask for random weights: refine = \"seeded\"",
+        ));
+    }
+    let damaged = |error: rogs_tensors::Error| StageError::internal(format!("the built-in refiner: {error}"));
+    let file = TensorFile::bundled(&BUILTIN).map_err(|error| damaged(error.into()))?;
+    let parameters = read_parameters(&file, config, device).map_err(damaged)?;
+    let refiner = Refiner::load(&parameters, config).map_err(damaged)?;
+    let info = WeightsInfo {
+        trained: true,
+        configuration: config.name.clone(),
+        description: format!("built-in {}", BUILTIN.name),
+        hash: BUILTIN.hash().to_owned(),
+    };
+    Ok(LoadedRefiner {
+        refiner,
+        info,
+        warnings: Vec::new(),
+    })
 }
 
 fn seeded(params: &RefineParams, config: &RefinerConfig, device: &Device) -> StageResult<LoadedRefiner> {
@@ -46,7 +83,7 @@ fn seeded(params: &RefineParams, config: &RefinerConfig, device: &Device) -> Sta
         description: format!("UNTRAINED: seeded weights, seed {}, last layer zero", params.seed),
         hash: String::new(),
     };
-    let warning = "the Stage-2 network is UNTRAINED (seeded weights, no weights file): its last layer is zero, so the correction is \
+    let warning = "the Stage-2 network is UNTRAINED (seeded weights, asked for by `refine = \"seeded\"`): its last layer is zero, so the correction is \
                    exactly zero and the refined field equals the Stage-1 field";
     Ok(LoadedRefiner {
         refiner,

@@ -7,12 +7,14 @@ use rogs_field::TimedField;
 use rogs_refine::{ClipInputs, RefineParams, load_refiner, refine};
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, ScaleResidual};
+use rogs_weights::Unfiled;
 use rogs_worker::{Observer, Unobserved};
 use support::{example, random_network};
 
 fn params(updates: u32) -> RefineParams {
     RefineParams {
         updates: Some(updates),
+        weights: Some(Unfiled::Seeded),
         ..RefineParams::default()
     }
 }

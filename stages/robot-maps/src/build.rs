@@ -30,18 +30,35 @@ impl Robot {
     /// When the robot cannot be read, or a link or joint of the parameters does not exist.
     pub fn load(urdf: &Path, params: &Params) -> StageResult<Self> {
         let spec = &params.robot;
-        let of_params = |error: rogs_robot::Error| {
-            StageError::bad_params(format!("{} (robot parameters, `{}`)", error.chain(), urdf.display()))
-                .with_hint("name the robot's links and joints under [robot.spec] of the manifest")
+        let of_params = |what: String| {
+            StageError::bad_params(format!("{what} (robot parameters, `{}`)", urdf.display())).with_hint(
+                "name the robot's links and joints under [robot.spec] of the manifest (`rogs init FOLDER --robot URDF` \
+                 writes them); `gripper_joint = \"\"` for a robot without gripper",
+            )
         };
-        let model = RobotModel::load(urdf)
-            .map_err(bad_input)?
-            .with_base_link(&spec.base_link)
-            .map_err(of_params)?;
-        let tool_link = model.link_id(&spec.tool_link).map_err(of_params)?;
-        if !spec.gripper_joint.is_empty() {
-            model.joint_index(&spec.gripper_joint).map_err(of_params)?;
+        let model = RobotModel::load(urdf).map_err(bad_input)?;
+        // Every name that is missing at once: who describes another robot misses several.
+        let asked = [
+            ("base_link", model.link_id(&spec.base_link).map(drop)),
+            ("tool_link", model.link_id(&spec.tool_link).map(drop)),
+            (
+                "gripper_joint",
+                match spec.gripper_joint.as_str() {
+                    "" => Ok(()),
+                    joint => model.joint_index(joint).map(drop),
+                },
+            ),
+        ];
+        let missing = asked
+            .into_iter()
+            .filter_map(|(key, found)| Some(format!("`{key}`: {}", found.err()?.chain())));
+        let missing: Vec<String> = missing.collect();
+        if !missing.is_empty() {
+            return Err(of_params(missing.join("; ")));
         }
+        let of_name = |error: rogs_robot::Error| of_params(error.chain());
+        let model = model.with_base_link(&spec.base_link).map_err(of_name)?;
+        let tool_link = model.link_id(&spec.tool_link).map_err(of_name)?;
         let scene = MeshScene::of_robot(&model, spec).map_err(bad_input)?;
         Ok(Self {
             model,
@@ -147,7 +164,7 @@ fn limit_warnings(model: &RobotModel, states: &[JointState]) -> Vec<String> {
         // The farther limit, seen from 0: values of that many times its size have another unit.
         let farther = lower.abs().max(upper.abs());
         let degrees = if worst.abs() > 7.0 && model.joints[joint].kind == JointKind::Rotational {
-            "; are the values degrees instead of radians (`states.unit`)?"
+            "; are the values degrees instead of radians (unit = \"degrees\" under [ingest.states])?"
         } else if worst.abs() > 20.0 * farther && farther > 0.0 && model.joints[joint].kind == JointKind::Linear {
             "; are the values millimetres instead of metres?"
         } else {

@@ -241,6 +241,12 @@ fn wrong_states_and_names_say_where() {
     // The table of the manifest from which `rogs` fills in the parameter `robot`.
     let hint = error.hint.unwrap();
     assert!(hint.contains("under [robot.spec] of the manifest"), "{hint}");
+    // Of another robot several names are missing, and all are told.
+    let another = Params::default();
+    let error = Robot::load(&folder.path().join("boxes.urdf"), &another).unwrap_err();
+    for key in ["`base_link`", "`tool_link`", "`gripper_joint`"] {
+        assert!(error.message.contains(key), "{}", error.message);
+    }
 }
 
 #[test]

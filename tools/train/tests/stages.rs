@@ -51,6 +51,7 @@ fn lifting_in_training_equals_the_lift_stage() {
         network,
         info,
         procedural_only: false,
+        made_for: None,
     };
     let lift_field = |params: &LiftParams| {
         let (clip, robot, conditioning) = (&records.clip, &records.robot, &records.conditioning);

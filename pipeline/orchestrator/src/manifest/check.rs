@@ -2,8 +2,10 @@
 
 use std::collections::BTreeSet;
 
+use rogs_schemas::ids::did_you_mean;
 use rogs_schemas::protocol::{LONGEST_GRACE, MOST_THREADS};
 use rogs_schemas::records::clip::{RECORDED, ROLLOUT};
+use rogs_schemas::robots::{PRESETS, preset};
 
 use super::{BOTH, MOST_WORKERS, Manifest, Setting, is_safe_name, parse_size};
 use crate::diagnose::{At, Text};
@@ -34,11 +36,15 @@ impl Manifest {
                 return Err(text.error(at, format!("`{key}` has a line end or another control character")));
             }
         }
-        let known = ["panda-robotiq-2f85"];
-        if let Some(preset) = self.robot.preset.as_deref().filter(|preset| !known.contains(preset)) {
+        if let Some(name) = self.robot.preset.as_deref().filter(|name| preset(name).is_none()) {
             let at = At::key("robot").then("preset");
-            let error = text.error(at, format!("unknown robot preset `{preset}`"));
-            return Err(error.with_hint(format!("known: {}; describe others in [robot.spec]", known.join(", "))));
+            let error = text.error(at, format!("unknown robot preset `{name}`"));
+            let known: Vec<&str> = PRESETS.iter().map(|preset| preset.name).collect();
+            let hint = did_you_mean(name, known.iter().copied()).map_or_else(
+                || format!("known: {}; describe others in [robot.spec]", known.join(", ")),
+                |meant| format!("did you mean `{meant}`?"),
+            );
+            return Err(error.with_hint(hint));
         }
         self.robot_spec()
             .map_err(|why| text.unknown(At::key("robot").then("spec"), &why))?;

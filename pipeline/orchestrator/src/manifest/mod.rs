@@ -6,12 +6,14 @@ mod read;
 mod size;
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 pub use rogs_schemas::ids::{is_safe_name, safe_name};
+use rogs_schemas::overlay;
 use rogs_schemas::records::clip::{RECORDED, ROLLOUT};
 use rogs_schemas::records::robot::RobotSpec;
+use rogs_schemas::robots::{DEFAULT_PRESET, preset};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -41,7 +43,7 @@ pub struct Manifest {
     pub episodes: Vec<Episode>,
     /// The robot in the episodes.
     pub robot: Robot,
-    /// Files with network weights. Without one a network runs with seeded weights, which lift nothing; the report says so.
+    /// Network weights. Without this table the built-in networks run.
     #[serde(default)]
     pub weights: Weights,
     /// Latents of a video tokenizer, for runs and variants whose `lift` has `tokens = "latents"`.
@@ -188,7 +190,8 @@ pub struct Episode {
 pub struct Robot {
     /// Its URDF. The whole folder it lies in, with the meshes, counts as the robot.
     pub urdf: PathBuf,
-    /// A known robot to start from: `panda-robotiq-2f85` (default).
+    /// A known robot to start from: `panda-robotiq-2f85` (default), `panda-hand`, `ur5e`, `xarm7`, `iiwa`, `so101`,
+    /// `viperx-300s`, `kinova-gen3`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub preset: Option<String>,
     /// What differs from the preset: joints, meshes, tool (see `RobotSpec`).
@@ -200,18 +203,74 @@ pub struct Robot {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Weights {
-    /// Stage-1 checkpoint.
+    /// Stage-1 checkpoint: a file; `builtin` (default), made for images of 154x84; or `seeded`, random values that lift
+    /// nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub lift: Option<PathBuf>,
-    /// Stage-2 checkpoint.
+    pub lift: Option<Network>,
+    /// Stage-2 checkpoint: a file; `builtin` (default), for `preset = "ci"`; or `seeded`, which corrects nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub refine: Option<PathBuf>,
+    pub refine: Option<Network>,
     /// LPIPS weights for scoring.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lpips: Option<PathBuf>,
     /// Adapter that makes Stage-1 tokens of latents; read where `lift` has `tokens = "latents"`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub adapter: Option<PathBuf>,
+}
+
+/// Where the weights of a network come from.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(from = "PathBuf", into = "PathBuf")]
+#[schemars(with = "PathBuf")]
+pub enum Network {
+    /// `builtin`: the file inside the program.
+    Builtin,
+    /// `seeded`: random values.
+    Seeded,
+    /// A file; one that is named as the others are is written `./builtin`.
+    File(PathBuf),
+}
+
+/// What `[weights]` says of a role.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Chosen<'a> {
+    /// A word in place of a file: `builtin` or `seeded`.
+    Word(&'static str),
+    /// A file.
+    File(&'a Path),
+}
+
+const BUILTIN: &str = "builtin";
+const SEEDED: &str = "seeded";
+
+impl Network {
+    fn chosen(&self) -> Chosen<'_> {
+        match self {
+            Self::Builtin => Chosen::Word(BUILTIN),
+            Self::Seeded => Chosen::Word(SEEDED),
+            Self::File(path) => Chosen::File(path),
+        }
+    }
+}
+
+impl From<PathBuf> for Network {
+    fn from(path: PathBuf) -> Self {
+        match path.to_str() {
+            Some(BUILTIN) => Self::Builtin,
+            Some(SEEDED) => Self::Seeded,
+            _ => Self::File(path),
+        }
+    }
+}
+
+impl From<Network> for PathBuf {
+    fn from(network: Network) -> Self {
+        match network {
+            Network::Builtin => BUILTIN.into(),
+            Network::Seeded => SEEDED.into(),
+            Network::File(path) => path,
+        }
+    }
 }
 
 /// Latents of a video tokenizer, one file a clip. `docs/latents-format.md` says what lies in it.
@@ -369,9 +428,34 @@ pub struct Slurm {
     /// More `#SBATCH` options, verbatim, such as `"--qos=low"`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub extra: Vec<String>,
-    /// Shell lines before the program starts, such as `"module load ffmpeg"`.
+    /// Shell lines before the program starts, such as `"module load ffmpeg"`. The first that fails ends the job.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub setup: Vec<String>,
+    /// What runs the scripts, default `"/bin/sh"`; `"/bin/bash -l"` where `module` is a function of a login shell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shell: Option<String>,
+    /// How memory is asked for: `node` (default, `--mem`), `cpu` (`--mem-per-cpu`), or `none` where the site gives it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub memory_by: Option<MemoryBy>,
+    /// Words before the program, such as `["apptainer", "exec", "--bind", "/scratch", "rogs.sif"]`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub wrap: Vec<String>,
+    /// The program `rogs` as jobs call it, such as `"rogs"` inside a container. Default: the one that submits.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub program: Option<String>,
+}
+
+/// How job scripts ask for memory.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum MemoryBy {
+    /// For an array element as a whole.
+    #[default]
+    Node,
+    /// For each of its cores.
+    Cpu,
+    /// Not at all.
+    None,
 }
 
 /// The report.
@@ -423,7 +507,11 @@ impl Manifest {
     /// # Errors
     /// When a value has the wrong type.
     pub fn robot_spec(&self) -> std::result::Result<RobotSpec, String> {
-        serde_json::from_value(Value::Object(self.robot.spec.clone())).map_err(|error| error.to_string())
+        let name = self.robot.preset.as_deref().unwrap_or(DEFAULT_PRESET);
+        let known = preset(name).ok_or_else(|| format!("unknown robot preset `{name}`"))?;
+        let mut spec = serde_json::to_value(known.spec()).map_err(|error| error.to_string())?;
+        overlay(&mut spec, &Value::Object(self.robot.spec.clone()));
+        serde_json::from_value(spec).map_err(|error| error.to_string())
     }
 
     /// JSON schema of manifests, for editors.
@@ -499,14 +587,14 @@ impl Manifest {
 }
 
 impl Weights {
-    /// The file for a role.
+    /// The file for a role, or the word in place of one.
     #[must_use]
-    pub fn get(&self, role: WeightsRole) -> Option<&PathBuf> {
+    pub fn get(&self, role: WeightsRole) -> Option<Chosen<'_>> {
         match role {
-            WeightsRole::Lift => self.lift.as_ref(),
-            WeightsRole::Refine => self.refine.as_ref(),
-            WeightsRole::Lpips => self.lpips.as_ref(),
-            WeightsRole::Adapter => self.adapter.as_ref(),
+            WeightsRole::Lift => self.lift.as_ref().map(Network::chosen),
+            WeightsRole::Refine => self.refine.as_ref().map(Network::chosen),
+            WeightsRole::Lpips => self.lpips.as_deref().map(Chosen::File),
+            WeightsRole::Adapter => self.adapter.as_deref().map(Chosen::File),
         }
     }
 }

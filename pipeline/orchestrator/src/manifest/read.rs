@@ -3,7 +3,7 @@
 use std::io::Read as _;
 use std::path::{Component, Path, PathBuf};
 
-use super::{Manifest, Weights, safe_name};
+use super::{Manifest, Network, Weights, safe_name};
 use crate::diagnose::{Text, from_toml_error};
 use crate::error::{Error, Result, io};
 
@@ -107,7 +107,12 @@ impl Manifest {
                 lpips,
                 adapter,
             } = weights;
-            [lift, refine, lpips, adapter].into_iter().for_each(&fix_some);
+            for network in [lift, refine].into_iter().flatten() {
+                if let Network::File(path) = network {
+                    fix(path);
+                }
+            }
+            [lpips, adapter].into_iter().for_each(&fix_some);
         }
         fix_some(&mut self.executor.programs);
     }

@@ -12,7 +12,7 @@ use serde_json::{Map, Value};
 use super::model::{InputSource, Node, NodeInput, PlannedSource};
 use crate::diagnose::{At, Text, path_hint, shown};
 use crate::error::{Error, Result};
-use crate::manifest::{Manifest, Params, Prediction, Setting, Variant};
+use crate::manifest::{Chosen, Manifest, Params, Prediction, Setting, Variant};
 use crate::programs::StagePrograms;
 use crate::sources::SourceCache;
 use crate::stage::{Filled, OUTSIDE, Output, Outside, Provider, StageId, WeightsRole};
@@ -208,8 +208,12 @@ impl<'a> Builder<'a> {
         for (name, value) in given {
             let here = at.clone().then(name);
             let Some(default) = defaults.get(name) else {
-                let message = format!("unknown parameter `{name}` of `{at}`");
-                let error = self.text.error(here, message);
+                let error = self.text.error(here, format!("unknown parameter `{name}` of `{at}`"));
+                if name == "weights" {
+                    return Err(
+                        error.with_hint("weights are named in a table of their own: [weights] with lift = \"FILE\"")
+                    );
+                }
                 return Err(match did_you_mean(name, defaults.keys().map(String::as_str)) {
                     Some(meant) => error.with_hint(format!("did you mean `{meant}`?")),
                     None => {
@@ -313,8 +317,8 @@ impl<'a> Builder<'a> {
         mut params: Value,
         made: &Made,
     ) -> Result<Node> {
-        let defaults = self.defaults(stage)?;
-        self.fill_in(stage, &mut params, &defaults, chain, output);
+        let plain = self.describe(stage, &Value::Object(Map::new()))?;
+        self.fill_in(stage, &mut params, &plain, chain, output);
         let description = self
             .describe(stage, &params)
             .map_err(|error| self.placed(error, chain.column, stage))?;
@@ -360,12 +364,13 @@ impl<'a> Builder<'a> {
     }
 
     /// Parameters that the manifest says in other places than the stage's own table.
-    fn fill_in(&self, stage: StageId, params: &mut Value, defaults: &Value, chain: Chain<'_>, output: &Output) {
-        let (Value::Object(params), Value::Object(defaults)) = (params, defaults) else {
+    fn fill_in(&self, stage: StageId, params: &mut Value, plain: &Description, chain: Chain<'_>, output: &Output) {
+        let Value::Object(params) = params else {
             return;
         };
         for &(name, filled) in stage.spec().filled {
-            if !defaults.contains_key(name) || params.contains_key(name) {
+            let known = plain.params_schema["properties"].get(name).is_some();
+            if !known || params.contains_key(name) {
                 continue;
             }
             let value = match filled {
@@ -377,6 +382,11 @@ impl<'a> Builder<'a> {
                     let rollouts = rollouts.filter(|_| chain.setting == Setting::Rollout);
                     rollouts.map(|rollouts| Value::Object(rollouts.options()))
                 }
+                Filled::Weights(of) => match self.chosen_weights(of, chain.column).0 {
+                    None => Some(Value::from("builtin")),
+                    Some(Chosen::Word(word)) => Some(Value::from(word)),
+                    Some(Chosen::File(_)) => None,
+                },
             };
             if let Some(value) = value {
                 params.insert(name.to_owned(), value);
@@ -459,15 +469,22 @@ impl<'a> Builder<'a> {
 
     /// A file of `[weights]`: the variant's own, else the run's.
     fn weights(&self, role: &str, of: WeightsRole, column: Column<'_>) -> Result<Option<InputSource>> {
-        let table = At::key("weights");
-        let (path, table) = match column {
-            Column::Variant(index, variant) if variant.weights.get(of).is_some() => {
-                (variant.weights.get(of), At::key("variants").item(index).then("weights"))
+        let (chosen, table) = self.chosen_weights(of, column);
+        match chosen {
+            Some(Chosen::File(path)) => Ok(Some(self.source(role, path, table.then(of.key()))?)),
+            Some(Chosen::Word(_)) | None => Ok(None),
+        }
+    }
+
+    /// What `[weights]` says of a role, and where.
+    fn chosen_weights(&self, of: WeightsRole, column: Column<'_>) -> (Option<Chosen<'a>>, At<'static>) {
+        match column {
+            Column::Variant(index, _) if self.manifest.variants[index].weights.get(of).is_some() => {
+                let own = self.manifest.variants[index].weights.get(of);
+                (own, At::key("variants").item(index).then("weights"))
             }
-            _ => (self.manifest.weights.get(of), table),
-        };
-        path.map(|path| self.source(role, path, table.then(of.key())))
-            .transpose()
+            _ => (self.manifest.weights.get(of), At::key("weights")),
+        }
     }
 
     /// The clips' latents, where the manifest names a folder of them: of the recordings, or of the rollouts.

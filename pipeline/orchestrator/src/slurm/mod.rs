@@ -33,6 +33,8 @@ const MAX_DOUBLINGS: u32 = 3;
 /// What was, or would be, submitted.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Submission {
+    /// Version of this value.
+    pub format: &'static str,
     /// Shards with something to do.
     pub shards: Vec<u32>,
     /// Number of shards of the plan.
@@ -44,6 +46,9 @@ pub struct Submission {
     /// Job ids, in the order of the scripts; empty in a dry run.
     pub ids: Vec<String>,
 }
+
+/// Version of [`Submission`].
+const FORMAT: &str = "rogs-submission 1";
 
 /// A line of `slurm/submissions.jsonl`.
 #[derive(Debug, Serialize, Deserialize)]
@@ -58,7 +63,7 @@ struct Submitted {
 /// `finally` is a command for the end, when all arrays have ended in whatever way, such as `rogs report RUN`.
 ///
 /// # Errors
-/// When there is nothing to submit, `sbatch` refuses, or the run folder cannot be written.
+/// When `sbatch` refuses, or the run folder cannot be written. A submission of nothing has no scripts.
 pub fn submit(prepared: &Prepared, finally: Option<&[String]>, dry_run: bool) -> Result<Submission> {
     let _lock = if dry_run {
         None
@@ -66,7 +71,7 @@ pub fn submit(prepared: &Prepared, finally: Option<&[String]>, dry_run: bool) ->
         Some(crate::lock::RunLock::acquire(&prepared.plan.run)?)
     };
     let mut submission = prepare(prepared, finally)?;
-    if dry_run {
+    if dry_run || submission.scripts.is_empty() {
         return Ok(submission);
     }
     let plan = &prepared.plan;
@@ -127,7 +132,14 @@ fn prepare(prepared: &Prepared, finally: Option<&[String]>) -> Result<Submission
         .filter(|&clip| states[clip].iter().any(|state| *state != OutputState::UpToDate))
         .collect();
     if open.is_empty() {
-        return Err(Error::usage("everything is up to date: there is nothing to submit"));
+        return Ok(Submission {
+            format: FORMAT,
+            shards: Vec::new(),
+            shard_count,
+            scripts: Vec::new(),
+            commands: Vec::new(),
+            ids: Vec::new(),
+        });
     }
     let shards: BTreeSet<u32> = open
         .iter()
@@ -163,6 +175,7 @@ fn prepare(prepared: &Prepared, finally: Option<&[String]>) -> Result<Submission
         scripts.push(script);
     }
     Ok(Submission {
+        format: FORMAT,
         shards: shards.into_iter().collect(),
         shard_count,
         scripts,
@@ -217,6 +230,9 @@ impl Submission {
     /// For people: every script and command.
     #[must_use]
     pub fn text(&self) -> String {
+        if self.scripts.is_empty() {
+            return "everything is up to date: there is nothing to submit".to_owned();
+        }
         let mut out = String::new();
         for (script, command) in self.scripts.iter().zip(&self.commands) {
             out.push_str(&format!(

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::error::Result;
 use crate::export::batch_command;
-use crate::manifest::safe_name;
+use crate::manifest::{MemoryBy, Slurm, safe_name};
 use crate::plan::Plan;
 use crate::prepare::Prepared;
 use crate::quote::{check_word, sbatch_pattern, sbatch_word, shell_line};
@@ -69,10 +69,10 @@ pub(super) fn stage_script(
     let mut options = vec![
         format!("--array={}{at_once}", ranges(shards)),
         format!("--cpus-per-task={cpus}"),
-        format!("--mem={}M", memory.div_ceil(1 << 20)),
-        // The worker gets time to give up its clip before the end of the wall time.
-        "--signal=B:TERM@60".to_owned(),
     ];
+    options.extend(memory_option(slurm, memory, cpus));
+    // The worker gets time to give up its clip before the end of the wall time.
+    options.push("--signal=B:TERM@60".to_owned());
     options.extend(slurm.gres.get(&stage).map(|gres| format!("--gres={gres}")));
     let mut words = batch_command(
         &prepared.options.programs,
@@ -99,12 +99,19 @@ pub(super) fn stage_script(
 /// # Errors
 /// As [`stage_script`].
 pub(super) fn report_script(prepared: &Prepared, words: &[String]) -> Result<Script> {
-    script(
-        prepared,
-        "report",
-        vec!["--cpus-per-task=1".to_owned(), "--mem=4096M".to_owned()],
-        words,
-    )
+    let mut options = vec!["--cpus-per-task=1".to_owned()];
+    options.extend(memory_option(&prepared.manifest.slurm, 4 << 30, 1));
+    script(prepared, "report", options, words)
+}
+
+/// How the memory of an element is asked for, bytes; some sites know it by core only, or want no word about it.
+fn memory_option(slurm: &Slurm, memory: u64, cpus: u32) -> Option<String> {
+    let mebibytes = memory.div_ceil(1 << 20);
+    match slurm.memory_by.unwrap_or_default() {
+        MemoryBy::Node => Some(format!("--mem={mebibytes}M")),
+        MemoryBy::Cpu => Some(format!("--mem-per-cpu={}M", mebibytes.div_ceil(u64::from(cpus.max(1))))),
+        MemoryBy::None => None,
+    }
 }
 
 fn script(prepared: &Prepared, name: &str, mut options: Vec<String>, words: &[String]) -> Result<Script> {
@@ -121,7 +128,9 @@ fn script(prepared: &Prepared, name: &str, mut options: Vec<String>, words: &[St
     );
     options.extend(slurm.account.as_ref().map(|account| format!("--account={account}")));
     options.extend(slurm.time.as_ref().map(|time| format!("--time={time}")));
-    let mut text = "#!/bin/sh\n".to_owned();
+    let shell = slurm.shell.as_deref().unwrap_or("/bin/sh");
+    check_word(shell)?;
+    let mut text = format!("#!{shell}\n");
     for option in options {
         text.push_str(&format!("#SBATCH {}\n", sbatch_word(&option)?));
     }
@@ -129,13 +138,18 @@ fn script(prepared: &Prepared, name: &str, mut options: Vec<String>, words: &[St
         check_word(line)?;
         text.push_str(&format!("#SBATCH {line}\n"));
     }
+    if !slurm.setup.is_empty() {
+        // A module that does not load must not go on without it: the job ends here, and its log says why.
+        text.push_str("set -e\n");
+    }
     for line in &slurm.setup {
         text.push_str(line);
         text.push('\n');
     }
+    let words = as_jobs_call(prepared, words);
     words.iter().try_for_each(|word| check_word(word))?;
     // `exec`, so that the signal reaches the program and not a shell that waits for it.
-    text.push_str(&format!("exec {}\n", shell_line(words)));
+    text.push_str(&format!("exec {}\n", shell_line(&words)));
     Ok(Script {
         name: name.to_owned(),
         path: folder.join(format!("{name}.sbatch")),
@@ -143,9 +157,33 @@ fn script(prepared: &Prepared, name: &str, mut options: Vec<String>, words: &[St
     })
 }
 
+/// The words of a command as jobs call it: behind those of a container, and by the program's path in there.
+fn as_jobs_call(prepared: &Prepared, words: &[String]) -> Vec<String> {
+    let slurm = &prepared.manifest.slurm;
+    let mut words = words.to_vec();
+    if let (Some(program), Some(first)) = (&slurm.program, words.first_mut()) {
+        first.clone_from(program);
+    }
+    slurm.wrap.iter().cloned().chain(words).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn memory_is_asked_for_as_the_site_knows_it() {
+        let by = |memory_by| {
+            let slurm = Slurm {
+                memory_by,
+                ..Slurm::default()
+            };
+            memory_option(&slurm, 5 << 30, 4)
+        };
+        assert_eq!(by(None).as_deref(), Some("--mem=5120M"));
+        assert_eq!(by(Some(MemoryBy::Cpu)).as_deref(), Some("--mem-per-cpu=1280M"));
+        assert_eq!(by(Some(MemoryBy::None)), None);
+    }
 
     #[test]
     fn sparse_arrays_are_written_as_ranges() {

@@ -8,7 +8,9 @@ mod doctor;
 mod export;
 mod fk;
 mod gc;
+mod init;
 mod inspect;
+mod list;
 mod logs;
 mod man;
 mod metrics;
@@ -39,6 +41,8 @@ pub(crate) struct CommandLine {
 #[derive(Debug, Subcommand)]
 enum Command {
     Demo(demo::Args),
+    Init(init::Args),
+    List(list::Args),
     #[command(visible_alias = "resume")]
     Run(run::Args),
     Plan(plan::Args),
@@ -66,9 +70,20 @@ enum Command {
     Man(man::Args),
 }
 
+/// An error of a stage's library, with its hint.
+fn stage_error(error: rogs_worker::StageError) -> anyhow::Error {
+    let said = rogs_orchestrator::Error::usage(error.message);
+    match error.hint {
+        Some(hint) => said.with_hint(hint).into(),
+        None => said.into(),
+    }
+}
+
 pub(crate) fn run(command_line: CommandLine) -> anyhow::Result<ExitCode> {
     match command_line.command {
         Command::Demo(args) => demo::run(&args),
+        Command::Init(args) => init::run(&args),
+        Command::List(args) => list::run(&args),
         Command::Metrics(args) => metrics::run(&args),
         Command::Cohort(args) => cohort::run(&args),
         Command::Weights(args) => weights::run(args),

@@ -4,10 +4,14 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use rogs_lift::BUILTIN_SIZE;
 use rogs_orchestrator::Prepared;
 use rogs_orchestrator::estimate::estimate;
 use rogs_orchestrator::export::export;
+use rogs_orchestrator::plan::{Node, Plan};
 use rogs_orchestrator::quote::shell_line;
+use rogs_orchestrator::stage::StageId;
+use rogs_weights::BUILTIN;
 
 use super::run::Machine;
 use crate::output;
@@ -66,13 +70,41 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         }
         return Ok(ExitCode::SUCCESS);
     }
-    let estimate = estimate(plan, &prepared.options)?;
+    let mut estimate = estimate(plan, &prepared.options)?;
+    estimate.notes = notes(plan);
     if args.json {
         output::json(&estimate)?;
     } else {
         output::text(&estimate.table())?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// What to know of the built-in networks before a run.
+fn notes(plan: &Plan) -> Vec<String> {
+    let builtin = |node: &&Node| {
+        let weights = node.params.get("weights").and_then(serde_json::Value::as_str);
+        node.stage == StageId::Lift && weights.is_some_and(|word| word.starts_with(BUILTIN))
+    };
+    if !plan.nodes.iter().any(|node| builtin(&node)) {
+        return Vec::new();
+    }
+    let mut notes = vec![
+        "the built-in networks have seen procedural clips only: on real episodes they are out of distribution"
+            .to_owned(),
+    ];
+    let [height, width] = BUILTIN_SIZE;
+    let ingest = plan.nodes.iter().find(|node| node.stage == StageId::Ingest);
+    let size = |name: &str| ingest.and_then(|node| node.params.get(name)?.as_u64());
+    if let (Some(own_height), Some(own_width)) = (size("height"), size("width"))
+        && (own_height, own_width) != (height.into(), width.into())
+    {
+        notes.push(format!(
+            "WARNING: the built-in networks are made for images of {width}x{height} pixels, and clips have \
+             {own_width}x{own_height}: expect worse fields; `height = {height}` and `width = {width}` under [ingest]"
+        ));
+    }
+    notes
 }
 
 /// Writes the units of a plan to `file` and prints one command a stage and shard.

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context as _, bail, ensure};
 use rogs_geometry::LinkPoses;
-use rogs_lift::{FieldQuery, LiftParams, MotionOptions, RobotAtTime, load_model};
+use rogs_lift::{BUILTIN, FieldQuery, LiftParams, MotionOptions, RobotAtTime, load_model};
 use rogs_r4c::read_record;
 use rogs_schemas::records::clip::SourceView;
 use rogs_schemas::records::conditioning::Conditioning;
@@ -25,7 +25,7 @@ pub(crate) struct Args {
     /// Normalised time in 0..1.
     #[arg(long)]
     time: f64,
-    /// Weights that the field was lifted with; not needed for seeded weights.
+    /// Weights that the field was lifted with; not needed for the built-in ones and for seeded ones.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
     /// Correction of Stage 2 to apply (`field-2.r4c`).
@@ -51,7 +51,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     if field.slice_at(args.time).is_none() {
         let params: LiftParams = serde_json::from_str(&info.provenance.material.params)
             .context("the field was written by another version of `lift`; lift it again")?;
-        if field.weights.trained && args.weights.is_none() {
+        let builtin = field.weights.hash == BUILTIN.hash();
+        if field.weights.trained && args.weights.is_none() && !builtin {
             bail!(
                 "the field was lifted with `{}`; give that file with `--weights`",
                 field.weights.description

@@ -30,7 +30,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let submission = submit(&prepared, Some(&finally), args.dry_run)?;
     if args.json {
         output::json(&submission)?;
-    } else if args.dry_run {
+    } else if args.dry_run || submission.scripts.is_empty() {
         output::text(&submission.text())?;
     } else {
         output::after_work(output::text(&format!("submitted: {}", submission.ids.join(", "))))?;

@@ -18,10 +18,6 @@ pub(crate) const MANIFEST_NAME: &str = "manifest.toml";
 /// Folder of the cache of PointWorld in a dataset.
 const POINTWORLD_FOLDER: &str = "pointworld";
 
-/// Names of the built-in checkpoints beside the manifest.
-const LIFT_WEIGHTS: &str = "compact-stage1.safetensors";
-const REFINE_WEIGHTS: &str = "ci-stage2.safetensors";
-
 /// Makes procedural robot episodes with exact depth, tracks and calibration, and `manifest.toml` to run them.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -153,7 +149,7 @@ pub(crate) fn config(frames: u32, size: [u32; 2]) -> SynthConfig {
     }
 }
 
-/// Writes a dataset, the built-in weights and a manifest; all are kept when they are there.
+/// Writes a dataset and a manifest; both are kept when they are there.
 pub(crate) fn make(
     folder: &Path,
     name: &str,
@@ -165,12 +161,6 @@ pub(crate) fn make(
     let summary = write_dataset_with(folder, episodes, seed, config, &done)?;
     let manifest = folder.join(MANIFEST_NAME);
     if !manifest.exists() {
-        for (weights, bytes) in [
-            (LIFT_WEIGHTS, rogs_lift::COMPACT_WEIGHTS),
-            (REFINE_WEIGHTS, rogs_refine::CI_WEIGHTS),
-        ] {
-            rogs_files::write_bytes(&folder.join(weights), bytes)?;
-        }
         let text = manifest_text(folder, name, config.resolution.wrist)?;
         rogs_files::write_bytes(&manifest, text.as_bytes())?;
     }
@@ -188,8 +178,8 @@ fn manifest_text(folder: &Path, name: &str, [height, width]: [u32; 2]) -> anyhow
          [robot]\nurdf = \"{ROBOT_FOLDER}/{ROBOT_URDF_FILE}\"\n\n\
          [robot.spec]\n{}\n\
          [ingest]\nheight = {height}\nwidth = {width}\n\n\
-         # The bundled weights, trained on procedural clips only.\n\
-         [weights]\nlift = \"{LIFT_WEIGHTS}\"\nrefine = \"{REFINE_WEIGHTS}\"\n\n\
+         # The built-in networks, trained on procedural clips only. A file of your own: lift = \"FILE\".\n\
+         [weights]\nlift = \"builtin\"\nrefine = \"builtin\"\n\n\
          [refine]\npreset = \"ci\"\nupdates = 4\n",
         toml::to_string(&spec)?
     ))

@@ -56,6 +56,14 @@ struct VideoPath {
     video_path: String,
 }
 
+/// Name of the layout, as the clip keeps it.
+pub(crate) const LAYOUT: &str = "droid-ctrlworld";
+
+/// Whether a calibration lies beside an episode.
+pub(crate) fn is_calibrated(root: &Path, selector: &str) -> bool {
+    calibration_beside(root, selector).is_some()
+}
+
 /// Selectors of all episodes below a root: the annotation's path without `annotation/` and `.json`.
 pub(crate) fn selectors(root: &Path) -> StageResult<Vec<String>> {
     let mut found = Vec::new();
@@ -143,7 +151,7 @@ pub(crate) fn open(root: &Path, calibration: Option<Calibration>, selector: &str
     };
     Ok(Source {
         episode_id,
-        layout: "droid-ctrlworld",
+        layout: LAYOUT,
         task: annotation.texts.into_iter().next().unwrap_or_default(),
         calibration_note: calibration.note(),
         fps,
@@ -237,7 +245,7 @@ fn resolve_selector(root: &Path, selector: &str) -> StageResult<String> {
             [only] => Ok(only.clone()),
             _ => Err(
                 StageError::bad_params(format!("`{}` holds {} episodes: say which", root.display(), all.len()))
-                    .with_hint("set `episode` to a selector that `rogs stage ingest list FOLDER` prints"),
+                    .with_hint("set `episode` to a selector that `rogs list FOLDER` prints"),
             ),
         };
     }

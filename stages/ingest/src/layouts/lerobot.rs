@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use rogs_schemas::ids::did_you_mean;
 use rogs_schemas::records::clip::CameraRole;
 use rogs_worker::{StageError, StageResult};
 
@@ -268,7 +269,8 @@ impl Rows {
         let positions = (0..self.table.rows)
             .flat_map(|row| columns.iter().map(move |column| column[row]))
             .collect();
-        let gripper = self.entry(&gripper)?;
+        // A robot without a gripper is taken for one that stays open.
+        let gripper = gripper.map_or_else(|| Ok(vec![0.0; self.table.rows]), |place| self.entry(&place))?;
         let names: Vec<String> = joints.into_iter().map(|(name, _)| name).collect();
         let joint_names = urdf_names(names, choice, dataset.info.robot_type.as_deref(), &self.path)?;
         let mut states = States {
@@ -309,9 +311,11 @@ impl Rows {
 
 /// Column and entry of a state.
 type Place = (String, usize);
+/// Joints by their names.
+type Named = Vec<(String, Place)>;
 
-/// Names and places of the joints, and the place of the gripper.
-fn state_entries(dataset: &Dataset, choice: &StateColumns, path: &Path) -> StageResult<(Vec<(String, Place)>, Place)> {
+/// Names and places of the joints, and the place of the gripper, where there is one.
+fn state_entries(dataset: &Dataset, choice: &StateColumns, path: &Path) -> StageResult<(Named, Option<Place>)> {
     let features = &dataset.info.features;
     let state = features
         .get("observation.state")
@@ -323,34 +327,50 @@ fn state_entries(dataset: &Dataset, choice: &StateColumns, path: &Path) -> Stage
             .position(|entry| entry == name)
             .map(|entry| ("observation.state".to_owned(), entry))
     };
-    let unknown = |name: &str| {
-        StageError::bad_params(format!(
-            "`observation.state` has no entry `{name}`, it has {}",
+    // All of them at once.
+    let asked = choice
+        .joints
+        .iter()
+        .chain(&choice.gripper)
+        .filter(|name| !name.is_empty());
+    let unknown: Vec<&str> = asked
+        .map(String::as_str)
+        .filter(|name| in_state(name).is_none())
+        .collect();
+    if !unknown.is_empty() {
+        let meant = |name: &&str| {
+            let meant = did_you_mean(name, state.iter().map(String::as_str));
+            let meant = meant.map_or_else(String::new, |meant| format!(" (did you mean `{meant}`?)"));
+            format!("`{name}`{meant}")
+        };
+        let names: Vec<String> = unknown.iter().map(meant).collect();
+        let text = format!(
+            "`observation.state` has no entry {}; it has {}",
+            names.join(", "),
             state.join(", ")
-        ))
-    };
+        );
+        return Err(StageError::bad_params(text)
+            .with_hint("`joints` and `gripper` under [ingest.states] of the manifest name them"));
+    }
     let own_gripper = "observation.state.gripper_position";
     let gripper = match &choice.gripper {
-        Some(name) => in_state(name).ok_or_else(|| unknown(name))?,
-        None if features.contains_key(own_gripper) => (own_gripper.to_owned(), 0),
-        None => ["gripper", "gripper_position", "gripper.pos", "main_gripper"]
-            .iter()
-            .find_map(|name| in_state(name))
-            .ok_or_else(|| {
+        Some(name) => in_state(name),
+        None if features.contains_key(own_gripper) => Some((own_gripper.to_owned(), 0)),
+        None => {
+            let usual = ["gripper", "gripper_position", "gripper.pos", "main_gripper"];
+            let found = usual.iter().find_map(|name| in_state(name));
+            Some(found.ok_or_else(|| {
                 wrong(path, "the data names no gripper state").with_hint(format!(
-                    "set `ingest.states.gripper` to the entry of `observation.state` with the gripper (0 to 1); it has {}",
+                    "under [ingest.states] of the manifest: gripper = \"ENTRY\" with the entry of `observation.state` that is \
+                     the gripper, or gripper = \"\" for a robot without; it has {}",
                     state.join(", ")
                 ))
-            })?,
+            })?)
+        }
     };
     if !choice.joints.is_empty() {
-        let named = |name: &String| {
-            in_state(name)
-                .map(|place| (name.clone(), place))
-                .ok_or_else(|| unknown(name))
-        };
-        let joints: StageResult<Vec<_>> = choice.joints.iter().map(named).collect();
-        return Ok((joints?, gripper));
+        let named = |name: &String| Some((name.clone(), in_state(name)?));
+        return Ok((choice.joints.iter().filter_map(named).collect(), gripper));
     }
     for column in ["observation.state.joint_position", "observation.state.joint_positions"] {
         if let Some(feature) = features.get(column) {
@@ -370,11 +390,12 @@ fn state_entries(dataset: &Dataset, choice: &StateColumns, path: &Path) -> Stage
     let joints: Vec<_> = state
         .iter()
         .filter_map(|name| Some((name.clone(), in_state(name)?)))
-        .filter(|(_, place)| *place != gripper)
+        .filter(|(_, place)| gripper.as_ref() != Some(place))
         .collect();
     if joints.is_empty() {
         return Err(wrong(path, "the data names no joint states")
-            .with_hint("set `ingest.states.joints` to the entries of `observation.state` that are the arm's joints"));
+            .with_hint("under [ingest.states] of the manifest: joints = [\"ENTRY\", ...], the entries of `observation.state` that are the \
+             arm's joints"));
     }
     Ok((joints, gripper))
 }
@@ -383,7 +404,7 @@ fn urdf_names(names: Vec<String>, choice: &StateColumns, robot: Option<&str>, pa
     if !choice.joint_names.is_empty() {
         if choice.joint_names.len() != names.len() {
             let text = format!(
-                "`states.joint_names` has {} names for {} joints",
+                "`joint_names` under [ingest.states] has {} names for {} joints",
                 choice.joint_names.len(),
                 names.len()
             );

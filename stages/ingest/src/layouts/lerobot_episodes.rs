@@ -72,7 +72,7 @@ impl Dataset {
                 all => {
                     let text = format!("`{}` holds {} episodes: say which", self.root.display(), all.len());
                     return Err(StageError::bad_params(text)
-                        .with_hint("set `episode` to a selector that `rogs stage ingest list FOLDER` prints"));
+                        .with_hint("set `episode` to a selector that `rogs list FOLDER` prints"));
                 }
             }
         } else {
@@ -80,7 +80,7 @@ impl Dataset {
         };
         let missing = || {
             StageError::bad_input(format!("`{}` has no episode `{which}`", self.root.display()))
-                .with_hint("`rogs stage ingest list FOLDER` prints those that it has")
+                .with_hint("`rogs list FOLDER` prints those that it has")
         };
         let index = which.strip_prefix("episode_").unwrap_or(&which).parse::<u64>();
         let index = index.map_err(|_| missing())?;

@@ -19,7 +19,7 @@ use rogs_worker::{StageError, StageResult};
 use self::lerobot_meta::Dataset;
 use crate::calibration::Calibration;
 use crate::params::{LayoutChoice, Params};
-use crate::source::Source;
+use crate::source::{EpisodeOutline, Source};
 
 /// A layout that is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -135,6 +135,21 @@ pub(crate) fn lerobot_dataset(root: &Path) -> StageResult<LerobotListing> {
     Ok(LerobotListing {
         layout: dataset.version.layout(),
         episodes,
+    })
+}
+
+/// What a LeRobot data set says of its robot and cameras.
+pub(crate) fn lerobot_outline(root: &Path) -> StageResult<EpisodeOutline> {
+    let dataset = Dataset::open(root)?;
+    let state = dataset.info.features.get("observation.state");
+    let calibrated = (dataset.info.features.keys()).any(|name| name.starts_with("camera_extrinsics."));
+    Ok(EpisodeOutline {
+        cameras: dataset.videos().into_iter().map(str::to_owned).collect(),
+        joints: Vec::new(),
+        state_entries: state.map(lerobot_meta::Feature::entry_names).unwrap_or_default(),
+        robot: dataset.info.robot_type.clone(),
+        model: None,
+        calibrated,
     })
 }
 

@@ -20,6 +20,9 @@ use crate::images::FrameSource;
 use crate::params::StateColumns;
 use crate::source::{Source, SourceCamera, SourceDepth, SourceMount, SourceTracks, States};
 
+/// Name of the layout, as the clip keeps it.
+pub(crate) const LAYOUT: &str = "rogs-episode";
+
 /// Longest `episode.json`, bytes.
 const MAX_JSON: u64 = 4 << 20;
 /// Longest table of states, bytes.
@@ -89,7 +92,7 @@ pub(crate) fn open(root: &Path, calibration: Option<&Calibration>, choice: &Stat
     };
     Ok(Source {
         episode_id: episode.episode_id,
-        layout: "rogs-episode",
+        layout: LAYOUT,
         task: episode.task,
         calibration_note,
         fps: episode.fps,
@@ -227,7 +230,12 @@ fn read_states(
         }
     };
     let columns: StageResult<Vec<usize>> = robot.joint_names.iter().map(|name| column(name)).collect();
-    let (columns, gripper_column) = (columns?, column(GRIPPER_COLUMN)?);
+    let columns = columns?;
+    // A robot without a gripper is taken for one that stays open.
+    let none = choice.gripper.as_deref() == Some("");
+    let gripper_column = (!none).then(|| column(GRIPPER_COLUMN)).transpose().map_err(|error| {
+        error.with_hint("for a robot without gripper, under [ingest.states] of the manifest: gripper = \"\"")
+    })?;
     let time_column = header.iter().position(|name| *name == TIME_COLUMN);
     let mut states = States {
         joint_names: robot.joint_names.clone(),
@@ -261,7 +269,7 @@ fn read_states(
         for &column in &columns {
             states.positions.push(number(column)?);
         }
-        states.gripper.push(number(gripper_column)?);
+        states.gripper.push(gripper_column.map_or(Ok(0.0), number)?);
         if let Some(column) = time_column {
             let time = number(column)?;
             if !time.is_finite() || times.last().is_some_and(|&before| time <= before) {

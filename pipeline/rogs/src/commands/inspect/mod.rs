@@ -1,15 +1,17 @@
 //! `rogs inspect`: what a container file holds.
 
+mod header;
+
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use rogs_orchestrator::columns;
-use rogs_r4c::{InspectReport, Record as _, inspect, read_record};
-use rogs_schemas::records::clip::Clip;
-use rogs_schemas::{EpisodeFrame, FrameIndex};
+use rogs_r4c::{InspectReport, inspect};
 use serde::Serialize;
+use serde_json::Value;
 
+use self::header::Header;
 use crate::output;
 
 /// Shows header, provenance and streams of a `.r4c` file, every checksum verified.
@@ -22,51 +24,30 @@ pub(crate) struct Args {
     json: bool,
 }
 
-pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    let report = inspect(&args.file)?;
-    let clip = (report.schema == Clip::SCHEMA.name).then(|| read_record::<Clip>(&args.file));
-    let clip = clip.transpose()?.map(|(clip, _)| ClipFrames::of(&clip));
-    if args.json {
-        output::json(&Inspected { report, clip })?;
-    } else {
-        output::text(&describe(&report, clip.as_ref()))?;
-    }
-    Ok(ExitCode::SUCCESS)
-}
-
 /// What is printed as JSON.
 #[derive(Serialize)]
 struct Inspected {
+    format: &'static str,
     #[serde(flatten)]
     report: InspectReport,
+    /// What the record says of itself.
     #[serde(skip_serializing_if = "Option::is_none")]
-    clip: Option<ClipFrames>,
+    header: Option<Value>,
 }
 
-/// Which frames of its episode a clip is.
-#[derive(Serialize)]
-struct ClipFrames {
-    episode: String,
-    episode_frames: Vec<EpisodeFrame>,
-    source_frames: Vec<FrameIndex>,
-    query_frames: Vec<FrameIndex>,
-}
-
-impl ClipFrames {
-    fn of(clip: &Clip) -> Self {
-        Self {
-            episode: clip.episode_id.clone(),
-            episode_frames: clip.episode_frames.clone(),
-            source_frames: clip.source_frames.clone(),
-            query_frames: clip.query_frames.clone(),
-        }
+pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    let report = inspect(&args.file)?;
+    let header = header::header(&args.file, &report.schema)?;
+    if args.json {
+        output::json(&Inspected {
+            format: "rogs-inspect 1",
+            report,
+            header: header.map(|header| header.value),
+        })?;
+    } else {
+        output::text(&describe(&report, header.as_ref()))?;
     }
-
-    /// The frames of the episode at these clip frames.
-    fn in_episode(&self, frames: &[FrameIndex]) -> String {
-        let of = |frame: &FrameIndex| self.episode_frames.get(frame.at()).map(ToString::to_string);
-        frames.iter().filter_map(of).collect::<Vec<_>>().join(" ")
-    }
+    Ok(ExitCode::SUCCESS)
 }
 
 /// The lower-case name under which an enum value appears in JSON.
@@ -77,7 +58,7 @@ fn word<T: Serialize>(value: &T) -> String {
         .unwrap_or_default()
 }
 
-fn describe(report: &InspectReport, clip: Option<&ClipFrames>) -> String {
+fn describe(report: &InspectReport, header: Option<&Header>) -> String {
     let material = &report.provenance.material;
     let mut text = String::new();
     let _ = writeln!(
@@ -96,25 +77,8 @@ fn describe(report: &InspectReport, clip: Option<&ClipFrames>) -> String {
     for (role, id) in &material.inputs {
         let _ = writeln!(text, "input      {role} = {id}");
     }
-    if let Some((clip, first, last)) =
-        clip.and_then(|clip| Some((clip, clip.episode_frames.first()?, clip.episode_frames.last()?)))
-    {
-        let _ = writeln!(
-            text,
-            "clip       {} frames of episode {}: its frames {first} to {last}",
-            clip.episode_frames.len(),
-            clip.episode
-        );
-        let _ = writeln!(
-            text,
-            "sources    episode frames {}",
-            clip.in_episode(&clip.source_frames)
-        );
-        let _ = writeln!(
-            text,
-            "queries    episode frames {}",
-            clip.in_episode(&clip.query_frames)
-        );
+    for (name, text_of) in header.into_iter().flat_map(|header| &header.lines) {
+        let _ = writeln!(text, "{name:<10} {text_of}");
     }
     let head = [
         "stream", "type", "shape", "unit", "frame", "codec", "elements", "decoded", "ratio", "min", "max", "NaN",
