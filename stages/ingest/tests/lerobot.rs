@@ -1,4 +1,4 @@
-//! LeRobot v3.0 data sets that other writers made: start times that drift, tasks in every place and list type, damage.
+//! LeRobot v3.0 data sets that other writers made: start times that drift, tasks in every place, damage.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 
@@ -7,14 +7,9 @@ mod common;
 use std::io::Write as _;
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::sync::Arc;
 
-use arrow::array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray, UInt32Array, new_null_array};
-use arrow::buffer::OffsetBuffer;
-use arrow::compute::cast;
-use arrow::datatypes::{DataType, Field};
 use common::Scratch;
-use parquet::arrow::ArrowWriter;
+use common::tables::{self, Values};
 use rogs_ingest::{Params, QueryChoice, QueryPlanName, list_episodes, read_clip};
 use rogs_needs::needs;
 use rogs_schemas::{EpisodeFrame, FrameIndex};
@@ -31,67 +26,39 @@ const TASK: &str = "put the red block into the bowl";
 enum Tasks {
     /// A list of texts for each episode.
     Lists,
-    LargeLists,
     /// Empty lists, which have no type; the text is in the table of tasks, its number in every frame.
     EmptyLists,
     /// No column; likewise.
     ByFrame,
-    /// A text for each episode, as polars and as pandas write it.
-    Views,
-    Dictionaries,
+    /// A text for each episode.
+    Texts,
     /// Numbers, which are no task.
     Numbers,
 }
 
-fn write(path: &Path, columns: Vec<(&str, ArrayRef)>) {
+fn write(path: &Path, columns: &[(&str, Values)]) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-    let batch = RecordBatch::try_from_iter_with_nullable(columns.into_iter().map(|(name, array)| (name, array, true)));
-    let batch = batch.unwrap();
-    let mut writer = ArrowWriter::try_new(std::fs::File::create(path).unwrap(), batch.schema(), None).unwrap();
-    writer.write(&batch).unwrap();
-    writer.close().unwrap();
+    tables::write(path, columns, 1 << 20);
 }
 
-fn numbers(values: impl Iterator<Item = u64>) -> ArrayRef {
-    Arc::new(Int64Array::from_iter_values(values.map(|value| value as i64)))
+fn numbers(values: impl Iterator<Item = u64>) -> Values {
+    Values::Integers(values.map(|value| Some(value as i64)).collect())
 }
 
-/// Lists of one value each.
-fn lists(values: ArrayRef, large: bool) -> ArrayRef {
-    let kind = values.data_type().clone();
-    let field = Arc::new(Field::new("item", kind, true));
-    let offsets = OffsetBuffer::from_lengths(vec![1; values.len()]);
-    let list: ArrayRef = Arc::new(arrow::array::ListArray::new(Arc::clone(&field), offsets, values, None));
-    match large {
-        true => cast(&list, &DataType::LargeList(field)).unwrap(),
-        false => list,
-    }
-}
-
-fn tasks(kind: Tasks, count: usize) -> Option<ArrayRef> {
-    let texts: ArrayRef = Arc::new(StringArray::from(vec![TASK; count]));
+fn tasks(kind: Tasks, count: usize) -> Option<Values> {
+    let texts = vec![TASK.to_owned(); count];
     Some(match kind {
-        Tasks::Lists => lists(texts, false),
-        Tasks::LargeLists => lists(cast(&texts, &DataType::LargeUtf8).unwrap(), true),
-        Tasks::EmptyLists => {
-            let field = Arc::new(Field::new("item", DataType::Null, true));
-            let offsets = OffsetBuffer::from_lengths(vec![0; count]);
-            let none = new_null_array(&DataType::Null, 0);
-            Arc::new(arrow::array::ListArray::new(field, offsets, none, None))
-        }
+        Tasks::Lists => Values::TextLists(texts),
+        Tasks::EmptyLists => Values::EmptyLists(count),
         Tasks::ByFrame => return None,
-        Tasks::Views => cast(&texts, &DataType::Utf8View).unwrap(),
-        Tasks::Dictionaries => {
-            let kind = DataType::Dictionary(Box::new(DataType::Int32), Box::new(DataType::Utf8));
-            cast(&texts, &kind).unwrap()
-        }
-        Tasks::Numbers => Arc::new(UInt32Array::from(vec![7; count])),
+        Tasks::Texts => Values::Texts(texts),
+        Tasks::Numbers => Values::Numbers(vec![7.0; count]),
     })
 }
 
 /// A data set of four episodes in one video, whose grey level tells the frame. Each episode begins `drift_s` later for every
 /// episode before it than it does.
-fn dataset(root: &Path, drift_s: f64, kind: Tasks, large_states: bool) {
+fn dataset(root: &Path, drift_s: f64, kind: Tasks) {
     let key = "observation.images.ext1";
     let info = serde_json::json!({
         "codebase_version": "v3.0", "robot_type": "stick", "fps": FPS,
@@ -116,31 +83,25 @@ fn dataset(root: &Path, drift_s: f64, kind: Tasks, large_states: bool) {
         ("data/file_index", of(0)),
         (chunk.as_str(), of(0)),
         (file.as_str(), of(0)),
-        (time.as_str(), Arc::new(Float64Array::from_iter_values(from))),
+        (time.as_str(), Values::Numbers(from.collect())),
     ];
     columns.extend(tasks(kind, episodes as usize).map(|tasks| ("tasks", tasks)));
-    write(&root.join("meta/episodes/chunk-000/file-000.parquet"), columns);
+    write(&root.join("meta/episodes/chunk-000/file-000.parquet"), &columns);
     // pandas keeps the text as the index of its table.
-    let texts: ArrayRef = Arc::new(StringArray::from(vec!["something else", TASK]));
+    let texts = Values::Texts(vec!["something else".into(), TASK.into()]);
     let table = vec![("task_index", numbers(0..2)), ("__index_level_0__", texts)];
-    write(&root.join("meta/tasks.parquet"), table);
+    write(&root.join("meta/tasks.parquet"), &table);
     let rows = || (0..episodes).flat_map(|episode| (0..FRAMES).map(move |frame| (episode, frame)));
     let times = rows().map(|(_, frame)| frame as f64 / FPS);
-    let values: ArrayRef = Arc::new(Float64Array::from_iter_values(rows().flat_map(|_| [0.1, 0.5])));
-    let field = Arc::new(Field::new("item", DataType::Float64, true));
-    let offsets = OffsetBuffer::from_lengths(vec![2; rows().count()]);
-    let mut state: ArrayRef = Arc::new(arrow::array::ListArray::new(Arc::clone(&field), offsets, values, None));
-    if large_states {
-        state = cast(&state, &DataType::LargeList(field)).unwrap();
-    }
+    let state = Values::Lists(2, rows().flat_map(|_| [0.1, 0.5]).collect());
     let data = vec![
         ("episode_index", numbers(rows().map(|(episode, _)| episode))),
         ("frame_index", numbers(rows().map(|(_, frame)| frame))),
-        ("timestamp", Arc::new(Float64Array::from_iter_values(times)) as ArrayRef),
+        ("timestamp", Values::Numbers(times.collect())),
         ("task_index", numbers(rows().map(|_| 1))),
         ("observation.state", state),
     ];
-    write(&root.join("data/chunk-000/file-000.parquet"), data);
+    write(&root.join("data/chunk-000/file-000.parquet"), &data);
     let video = root.join(format!("videos/{key}/chunk-000/file-000.mp4"));
     std::fs::create_dir_all(video.parent().unwrap()).unwrap();
     let mut encoder = Command::new("ffmpeg")
@@ -197,7 +158,7 @@ fn start_times_that_drift_are_mended_by_the_lengths_and_said() {
     let scratch = Scratch::new("drift");
     // Nothing, a part of a frame, more than a frame: also where the sum happens to be whole again.
     for drift_s in [0.0, 1e-6, 0.0095, -0.004, 0.0333333] {
-        dataset(&scratch.0, drift_s, Tasks::Lists, false);
+        dataset(&scratch.0, drift_s, Tasks::Lists);
         for episode in 0..4 {
             let first = episode * FRAMES;
             let (levels, _, warnings) = read(&scratch.0, episode);
@@ -215,14 +176,12 @@ fn tasks_are_read_wherever_they_are_kept_and_never_stop_a_data_set() {
     let scratch = Scratch::new("tasks");
     for kind in [
         Tasks::Lists,
-        Tasks::LargeLists,
         Tasks::EmptyLists,
         Tasks::ByFrame,
-        Tasks::Views,
-        Tasks::Dictionaries,
+        Tasks::Texts,
         Tasks::Numbers,
     ] {
-        dataset(&scratch.0, 0.0, kind, matches!(kind, Tasks::LargeLists));
+        dataset(&scratch.0, 0.0, kind);
         assert_eq!(list_episodes(&scratch.0).unwrap().len(), 4, "{kind:?}");
         let (_, task, warnings) = read(&scratch.0, 1);
         assert_eq!((task.as_str(), warnings.len()), (TASK, 0), "{kind:?}: {warnings:?}");
@@ -236,7 +195,7 @@ fn tasks_are_read_wherever_they_are_kept_and_never_stop_a_data_set() {
 #[test]
 fn damaged_tables_are_bad_input_and_no_bug() {
     let scratch = Scratch::new("damage");
-    dataset(&scratch.0, 0.0, Tasks::Lists, false);
+    dataset(&scratch.0, 0.0, Tasks::Lists);
     let tables = [
         "meta/episodes/chunk-000/file-000.parquet",
         "data/chunk-000/file-000.parquet",

@@ -426,14 +426,13 @@ fn sorted(folder: &Path) -> StageResult<Vec<PathBuf>> {
 }
 
 #[cfg(test)]
+#[path = "../../tests/common/tables.rs"]
+mod tables;
+
+#[cfg(test)]
 #[allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 mod tests {
-    use std::sync::Arc;
-
-    use arrow::array::{ArrayRef, Float64Array, Int64Array, RecordBatch};
-    use parquet::arrow::ArrowWriter;
-    use parquet::file::properties::WriterProperties;
-
+    use super::tables::{self, Values};
     use super::*;
 
     const INFO: &str = r#"{"codebase_version":"VERSION","fps":15,"data_path":"data/{episode_index}.parquet",
@@ -467,26 +466,18 @@ mod tests {
         /// One file of v3.0 with these episodes, `group` rows a row group; `None` is a missing index.
         fn rows(&self, file: u32, index: &[Option<i64>], group: usize) {
             let n = index.len();
-            let of = |value: i64| Arc::new(Int64Array::from(vec![value; n])) as ArrayRef;
-            let columns: Vec<(&str, ArrayRef)> = vec![
-                ("episode_index", Arc::new(Int64Array::from(index.to_vec()))),
+            let of = |value: i64| Values::Integers(vec![Some(value); n]);
+            let columns = [
+                ("episode_index", Values::Integers(index.to_vec())),
                 ("length", of(100)),
                 ("data/chunk_index", of(0)),
                 ("data/file_index", of(0)),
                 ("videos/cam/chunk_index", of(0)),
                 ("videos/cam/file_index", of(i64::from(file))),
-                ("videos/cam/from_timestamp", Arc::new(Float64Array::from(vec![0.5; n]))),
+                ("videos/cam/from_timestamp", Values::Numbers(vec![0.5; n])),
             ];
-            let nullable = columns.into_iter().map(|(name, array)| (name, array, true));
-            let batch = RecordBatch::try_from_iter_with_nullable(nullable).unwrap();
             let path = self.0.join(format!("{TABLES}/chunk-000/file-{file:03}.parquet"));
-            let properties = WriterProperties::builder()
-                .set_max_row_group_row_count(Some(group))
-                .build();
-            let out = File::create(path).unwrap();
-            let mut writer = ArrowWriter::try_new(out, batch.schema(), Some(properties)).unwrap();
-            writer.write(&batch).unwrap();
-            writer.close().unwrap();
+            tables::write(&path, &columns, group);
         }
     }
 

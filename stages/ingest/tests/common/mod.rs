@@ -3,6 +3,8 @@
 #![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 #![allow(dead_code, reason = "each test file uses some of it")]
 
+pub(crate) mod tables;
+
 use std::path::{Path, PathBuf};
 
 use rogs_schemas::episode::{

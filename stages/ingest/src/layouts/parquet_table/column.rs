@@ -90,7 +90,7 @@ impl Layout {
                 Some(Repetition::REPEATED) => {
                     level += 1;
                     if element.replace(level).is_some() {
-                        return Err(Fault::Unsuited("lists of lists are not read".into()));
+                        return Err(Fault::Unsuited("lists of lists or of structures are not read".into()));
                     }
                 }
                 Some(Repetition::REQUIRED) | None => {}
@@ -99,7 +99,9 @@ impl Layout {
                 Type::PrimitiveType { .. } => break,
                 // A list is three levels deep: itself, its repeated part, the element.
                 Type::GroupType { fields, .. } if fields.len() == 1 && depth < 2 => node = &fields[0],
-                Type::GroupType { .. } => return Err(Fault::Unsuited("lists of structures are not read".into())),
+                Type::GroupType { .. } => {
+                    return Err(Fault::Unsuited("lists of lists or of structures are not read".into()));
+                }
             }
             depth += 1;
         }

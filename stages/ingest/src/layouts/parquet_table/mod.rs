@@ -264,3 +264,113 @@ fn runs(values: &[f64], wanted: f64) -> Vec<Range<usize>> {
     }
     runs
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(writer: &str) -> Table {
+        let path = format!("{}/tests/tables/{writer}.parquet", env!("CARGO_MANIFEST_DIR"));
+        Table::read_where(Path::new(&path), &|_| true, None, &mut Work::default()).unwrap()
+    }
+
+    /// Rows of the tables, as `tests/tables/make.py` writes them.
+    fn rows<T>(of: impl Fn(i32) -> T) -> Vec<T> {
+        (0..5).map(of).collect()
+    }
+
+    fn states() -> Vec<f64> {
+        (0..5)
+            .flat_map(|row| [f64::from(row) + 0.25, f64::from(-row), 8.0])
+            .collect()
+    }
+
+    #[test]
+    fn what_the_usual_writers_write_is_read() {
+        let (whole, real) = (rows(|row| f64::from(3 * row)), rows(|row| 0.5 * f64::from(row) - 1.0));
+        for writer in ["pyarrow", "polars", "pandas", "fastparquet", "duckdb"] {
+            let table = table(writer);
+            assert_eq!((table.rows, table.of), (5, 5), "{writer}");
+            assert_eq!(table.numbers("int64").unwrap(), (1, whole.as_slice()), "{writer}");
+            assert_eq!(table.numbers("float64").unwrap(), (1, real.as_slice()), "{writer}");
+            let (width, holes) = table.numbers("holes").unwrap();
+            assert_eq!(
+                (width, &holes[..2], &holes[3..]),
+                (1, &real[..2], &real[3..]),
+                "{writer}"
+            );
+            assert!(holes[2].is_nan(), "{writer}");
+            assert_eq!(
+                table.texts("text").unwrap(),
+                rows(|row| format!("task {row}")),
+                "{writer}"
+            );
+            if writer != "fastparquet" {
+                assert_eq!(table.numbers("state").unwrap(), (3, states().as_slice()), "{writer}");
+                assert_eq!(
+                    table.texts("texts").unwrap(),
+                    rows(|row| format!("task {row}")),
+                    "{writer}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn every_type_of_a_column_is_read_or_refused_by_name() {
+        let table = table("pyarrow");
+        let (whole, real) = (rows(|row| f64::from(3 * row)), rows(|row| 0.5 * f64::from(row) - 1.0));
+        for name in ["int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"] {
+            assert_eq!(table.numbers(name).unwrap(), (1, whole.as_slice()), "{name}");
+        }
+        for name in ["float16", "float32", "float64", "decimal", "decimal32"] {
+            assert_eq!(table.numbers(name).unwrap(), (1, real.as_slice()), "{name}");
+        }
+        let large = rows(|row| 2f64.powi(63) + f64::from(2048 * row));
+        assert_eq!(table.numbers("large").unwrap(), (1, large.as_slice()));
+        assert_eq!(table.numbers("bool").unwrap(), (1, &[0.0, 1.0, 0.0, 1.0, 0.0][..]));
+        for name in ["text", "large_text", "view", "dictionary", "texts"] {
+            assert_eq!(table.texts(name).unwrap(), rows(|row| format!("task {row}")), "{name}");
+        }
+        for name in ["nothing", "empty"] {
+            assert_eq!(table.texts(name).unwrap(), [""; 5], "{name}");
+        }
+        for name in ["state", "large_state", "fixed_state"] {
+            assert_eq!(table.numbers(name).unwrap(), (3, states().as_slice()), "{name}");
+        }
+        for (name, why) in [
+            ("ragged", "its rows have different lengths"),
+            ("list_hole", "some rows have no value"),
+            ("missing_list", "some rows have no value"),
+            ("bytes", "bytes are not numbers"),
+            ("time", "times are not numbers"),
+            ("date", "times are not numbers"),
+            ("pair", "it holds several values a row"),
+            ("single", "values in a structure are not read"),
+            ("nested", "lists of lists or of structures"),
+            ("pairs", "lists of lists or of structures"),
+        ] {
+            let error = table.numbers(name).unwrap_err().to_string();
+            assert!(error.contains(why), "{name}: {error}");
+        }
+    }
+
+    #[test]
+    fn one_value_finds_its_rows_and_reads_no_other_group() {
+        let path = format!("{}/tests/tables/pyarrow.parquet", env!("CARGO_MANIFEST_DIR"));
+        let mut work = Work::default();
+        let table = Table::read_where(Path::new(&path), &|_| true, Some(("int64", 9)), &mut work).unwrap();
+        assert_eq!((table.rows, table.of, work.rows), (1, 5, 2));
+        assert_eq!(table.integer("uint8", 0).unwrap(), 9);
+        assert_eq!(table.texts("texts").unwrap(), ["task 3"]);
+        assert_eq!(table.numbers("state").unwrap(), (3, &states()[9..12]));
+        let missing = Table::read_where(Path::new(&path), &|_| true, Some(("frame", 9)), &mut work);
+        assert!(
+            missing
+                .err()
+                .unwrap()
+                .to_string()
+                .contains("there is no column `frame`")
+        );
+    }
+}
