@@ -5,8 +5,9 @@
 use serde::{Deserialize, Serialize};
 
 use crate::index::EpisodeFrame;
-use crate::pose::{Intrinsics, RigidPose};
+use crate::pose::Intrinsics;
 use crate::records::origin::ReferenceOrigin;
+use crate::written_pose::WrittenPose;
 
 /// Value of [`Episode::format`].
 pub const EPISODE_FORMAT: &str = "rogs-episode 1";
@@ -119,11 +120,11 @@ pub enum EpisodeMount {
     /// It never moves.
     Fixed {
         /// Camera-to-base, metres.
-        base_from_camera: Matrix4,
+        base_from_camera: WrittenPose,
     },
     /// Its pose is known at every frame.
     Trajectory {
-        /// `.npy` file of camera-to-base matrices, metres, f64 or f32 `[F, 4, 4]`.
+        /// `.npy` file of camera-to-base poses, metres, floats `[F, 4, 4]`, `[F, 3, 4]` or `[F, 6]`.
         base_from_camera: String,
     },
     /// It is rigid to a link of the robot.
@@ -131,7 +132,7 @@ pub enum EpisodeMount {
         /// Name of the URDF link.
         link: String,
         /// Camera-to-link, metres.
-        link_from_camera: Matrix4,
+        link_from_camera: WrittenPose,
     },
 }
 
@@ -177,31 +178,6 @@ pub struct EpisodeTracks {
     pub origin: ReferenceOrigin,
 }
 
-/// A 4x4 homogeneous matrix, row by row, as numpy's `tolist()` writes it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
-#[serde(transparent)]
-pub struct Matrix4(pub [[f64; 4]; 4]);
-
-impl From<RigidPose> for Matrix4 {
-    fn from(pose: RigidPose) -> Self {
-        let [a, b, c, d, e, f, g, h, i] = pose.rotation;
-        let [x, y, z] = pose.translation;
-        Self([[a, b, c, x], [d, e, f, y], [g, h, i, z], [0.0, 0.0, 0.0, 1.0]])
-    }
-}
-
-impl Matrix4 {
-    /// The pose in the upper three rows, unchecked: `ingest` tests that it is rigid.
-    #[must_use]
-    pub fn pose(&self) -> RigidPose {
-        let [[a, b, c, x], [d, e, f, y], [g, h, i, z], _] = self.0;
-        RigidPose {
-            rotation: [a, b, c, d, e, f, g, h, i],
-            translation: [x, y, z],
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -215,7 +191,9 @@ mod tests {
             panic!("a hand-eye mount")
         };
         assert_eq!(link, "panda_link8");
-        assert_eq!(link_from_camera.pose().translation, [0.1, 0.2, 0.3]);
-        assert_eq!(Matrix4::from(link_from_camera.pose()), link_from_camera);
+        let WrittenPose::Matrix([[.., x], [.., y], [.., z], _]) = link_from_camera else {
+            panic!("a matrix")
+        };
+        assert_eq!([x, y, z], [0.1, 0.2, 0.3]);
     }
 }

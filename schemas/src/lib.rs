@@ -36,6 +36,7 @@ pub mod robots;
 pub mod selection;
 pub mod shown;
 pub mod units;
+pub mod written_pose;
 
 pub use device::Device;
 pub use identity::{FileInfo, SchemaId};
@@ -44,3 +45,4 @@ pub use index::{CameraIndex, EpisodeFrame, FrameIndex};
 pub use json::{canonical_json, overlay};
 pub use key::{CacheKey, ContentHash, KeyMaterial, Provenance};
 pub use pose::{Intrinsics, RigidPose};
+pub use written_pose::WrittenPose;

@@ -185,7 +185,7 @@ impl ArrayFile {
                 None => return Ok(None),
                 Some(bytes) => {
                     let (dtype, shape, data) = npy::parse(&bytes).map_err(wrong)?;
-                    (shape, dtype.values(data))
+                    (shape, dtype.values(&data))
                 }
             },
             Content::Safetensors { bytes, tensors } => {

@@ -1,5 +1,6 @@
-//! Numpy's `.npy` format: versions 1 to 3, C order, little endian.
+//! Numpy's `.npy` format: versions 1 to 3, either order of axes and of bytes; written in C order, little endian.
 
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -25,9 +26,55 @@ pub struct NpyFile {
     /// First byte of the numbers.
     start: usize,
     dtype: Dtype,
-    /// The numbers have their highest byte first.
-    big_endian: bool,
+    layout: Layout,
     shape: Vec<usize>,
+    /// All bytes of an array in Fortran order, turned to C order when they were first needed.
+    turned: Option<Vec<u8>>,
+}
+
+/// How the numbers of an array lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct Layout {
+    /// The highest byte of a number comes first.
+    big_endian: bool,
+    /// The first index runs fastest.
+    fortran: bool,
+}
+
+impl Layout {
+    /// Little-endian bytes in C order.
+    fn plain(self, mut bytes: Vec<u8>, size: usize, shape: &[usize]) -> Vec<u8> {
+        if self.big_endian {
+            bytes.chunks_exact_mut(size).for_each(<[u8]>::reverse);
+        }
+        if self.fortran {
+            bytes = c_order(&bytes, size, shape);
+        }
+        bytes
+    }
+}
+
+/// Elements whose first index runs fastest, reordered so that the last one does.
+fn c_order(bytes: &[u8], size: usize, shape: &[usize]) -> Vec<u8> {
+    let strides: Vec<usize> = shape
+        .iter()
+        .scan(size, |next, &length| Some(std::mem::replace(next, *next * length)))
+        .collect();
+    let (mut index, mut at) = (vec![0; shape.len()], 0);
+    let mut turned = Vec::with_capacity(bytes.len());
+    while turned.len() < bytes.len() {
+        turned.extend_from_slice(&bytes[at..at + size]);
+        for axis in (0..shape.len()).rev() {
+            index[axis] += 1;
+            at += strides[axis];
+            if index[axis] < shape[axis] {
+                break;
+            }
+            at -= strides[axis] * shape[axis];
+            index[axis] = 0;
+        }
+    }
+    turned
 }
 
 impl NpyFile {
@@ -48,7 +95,7 @@ impl NpyFile {
         read(&mut file, &mut head, EDGE).map_err(io)?;
         let start = data_start(&head).map_err(wrong)?;
         read(&mut file, &mut head, start).map_err(io)?;
-        let (dtype, big_endian, shape) = header(&head, start).map_err(wrong)?;
+        let (dtype, layout, shape) = header(&head, start).map_err(wrong)?;
         if data_length(dtype, &shape).and_then(|bytes| bytes.checked_add(start)) != usize::try_from(length).ok() {
             let what = format!("the file has {length} bytes, which does not fit its shape {shape:?}");
             return Err(wrong(what));
@@ -58,8 +105,9 @@ impl NpyFile {
             file,
             start,
             dtype,
-            big_endian,
+            layout,
             shape,
+            turned: None,
         })
     }
 
@@ -123,14 +171,30 @@ impl NpyFile {
     fn read(&mut self, from: usize, count: usize) -> Result<Vec<f64>> {
         // The file is at least as long: its length was checked.
         let size = self.dtype.size();
+        if !self.layout.fortran {
+            let bytes = self.layout.plain(self.bytes(from, count)?, size, &[]);
+            return Ok(self.dtype.doubles(&bytes));
+        }
+        let turned = match self.turned.take() {
+            Some(turned) => turned,
+            None => {
+                let all = data_length(self.dtype, &self.shape).unwrap_or(0) / size;
+                self.layout.plain(self.bytes(0, all)?, size, &self.shape)
+            }
+        };
+        let values = self.dtype.doubles(&turned[from * size..(from + count) * size]);
+        self.turned = Some(turned);
+        Ok(values)
+    }
+
+    /// Bytes of some numbers as they lie in the file.
+    fn bytes(&mut self, from: usize, count: usize) -> Result<Vec<u8>> {
+        let size = self.dtype.size();
         let mut bytes = vec![0; count * size];
         let seek = self.file.seek(SeekFrom::Start((self.start + from * size) as u64));
         seek.and_then(|_| self.file.read_exact(&mut bytes))
             .map_err(|error| Error::io(&self.path, error))?;
-        if self.big_endian {
-            bytes.chunks_exact_mut(size).for_each(<[u8]>::reverse);
-        }
-        Ok(self.dtype.doubles(&bytes))
+        Ok(bytes)
     }
 }
 
@@ -140,20 +204,22 @@ impl NpyFile {
 /// A sentence that says what is wrong with it.
 pub fn npy_numbers(bytes: &[u8]) -> std::result::Result<(Vec<usize>, Vec<f64>), String> {
     let (dtype, shape, data) = parse(bytes)?;
-    Ok((shape, dtype.doubles(data)))
+    Ok((shape, dtype.doubles(&data)))
 }
 
-/// Type, shape and bytes of the numbers of a `.npy` file in memory.
-pub(crate) fn parse(bytes: &[u8]) -> std::result::Result<(Dtype, Vec<usize>, &[u8]), String> {
+/// Type, shape and bytes (little endian, C order) of the numbers of a `.npy` file in memory.
+pub(crate) fn parse(bytes: &[u8]) -> std::result::Result<(Dtype, Vec<usize>, Cow<'_, [u8]>), String> {
     let start = data_start(bytes)?;
-    let (dtype, big_endian, shape) = header(bytes, start)?;
-    if big_endian {
-        return Err("the values are big-endian; save `a.astype(a.dtype.newbyteorder('<'))`".to_owned());
-    }
+    let (dtype, layout, shape) = header(bytes, start)?;
     let data = &bytes[start..];
     if data_length(dtype, &shape) != Some(data.len()) {
         return Err(format!("shape {shape:?} does not fit its {} bytes", data.len()));
     }
+    let data = if layout == Layout::default() {
+        Cow::Borrowed(data)
+    } else {
+        Cow::Owned(layout.plain(data.to_vec(), dtype.size(), &shape))
+    };
     Ok((dtype, shape, data))
 }
 
@@ -184,9 +250,9 @@ fn data_start(head: &[u8]) -> std::result::Result<usize, String> {
     Ok(begin + length)
 }
 
-/// Type, whether numbers have their highest byte first, and shape from the header that ends at `start`:
+/// Type, layout and shape from the header that ends at `start`:
 /// `{'descr': '<f4', 'fortran_order': False, 'shape': (3, 4), }`.
-fn header(head: &[u8], start: usize) -> std::result::Result<(Dtype, bool, Vec<usize>), String> {
+fn header(head: &[u8], start: usize) -> std::result::Result<(Dtype, Layout, Vec<usize>), String> {
     let header = head.get(10..start).ok_or("it is cut off in its header")?;
     let header = String::from_utf8_lossy(header);
     let after = |key: &str| {
@@ -206,9 +272,7 @@ fn header(head: &[u8], start: usize) -> std::result::Result<(Dtype, bool, Vec<us
     let little = dtype.strip_prefix('>').map(|rest| format!("<{rest}"));
     let big_endian = little.is_some();
     let dtype = Dtype::of_numpy(&little.unwrap_or_else(|| dtype.to_owned()))?;
-    if !after("fortran_order")?.starts_with("False") {
-        return Err("the array is in Fortran order; save `numpy.ascontiguousarray(a)`".to_owned());
-    }
+    let fortran = !after("fortran_order")?.starts_with("False");
     let shape = after("shape")?
         .strip_prefix('(')
         .and_then(|rest| rest.split_once(')'))
@@ -220,7 +284,7 @@ fn header(head: &[u8], start: usize) -> std::result::Result<(Dtype, bool, Vec<us
     if lengths.len() > MAX_DIMENSIONS {
         return Err(format!("{} dimensions are too many", lengths.len()));
     }
-    Ok((dtype, big_endian, lengths))
+    Ok((dtype, Layout { big_endian, fortran }, lengths))
 }
 
 /// What comes before the numbers of an array of this type and shape: a header of version 1.0.
@@ -280,9 +344,43 @@ mod tests {
     fn headers_of_numpy_are_understood() {
         let header = "{'descr': '<i2', 'fortran_order': False, 'shape': (2, 1), }   \n";
         let bytes = npy(header, &[1, 0, 255, 255]);
-        assert_eq!(parse(&bytes), Ok((Dtype::I16, vec![2, 1], [1, 0, 255, 255].as_slice())));
+        let data = Cow::Borrowed([1, 0, 255, 255].as_slice());
+        assert_eq!(parse(&bytes), Ok((Dtype::I16, vec![2, 1], data)));
         let scalar = npy("{'descr': '|b1', 'fortran_order': False, 'shape': (), }", &[1]);
-        assert_eq!(parse(&scalar), Ok((Dtype::U8, vec![], [1].as_slice())));
+        assert_eq!(parse(&scalar), Ok((Dtype::U8, vec![], Cow::Borrowed([1].as_slice()))));
+    }
+
+    /// `numpy.arange(6).reshape(2, 3)` in both orders of axes and of bytes, and with three axes.
+    #[test]
+    fn any_order_of_axes_and_of_bytes_gives_the_same_numbers() {
+        let folder = tempfile::tempdir().unwrap();
+        for (descr, order, shape, stored) in [
+            ("<i2", "False", "(2, 3)", [0, 1, 2, 3, 4, 5]),
+            ("<i2", "True", "(2, 3)", [0, 3, 1, 4, 2, 5]),
+            (">i2", "True", "(2, 3)", [0, 3, 1, 4, 2, 5]),
+            ("<i2", "True", "(3, 1, 2)", [0, 2, 4, 1, 3, 5]),
+        ] {
+            let header = format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape}, }}");
+            let data = stored.map(|value: i16| match descr.starts_with('>') {
+                true => value.to_be_bytes(),
+                false => value.to_le_bytes(),
+            });
+            let bytes = npy(&header, data.as_flattened());
+            let expected = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0];
+            assert_eq!(npy_numbers(&bytes).unwrap().1, expected, "{header}");
+            let path = folder.path().join("a.npy");
+            std::fs::write(&path, &bytes).unwrap();
+            let mut file = NpyFile::open(&path).unwrap();
+            let length = 6 / file.shape()[0];
+            for entry in 0..file.shape()[0] {
+                assert_eq!(
+                    file.entry(entry).unwrap(),
+                    expected[entry * length..][..length],
+                    "{header}"
+                );
+            }
+            assert_eq!(file.all().unwrap(), expected, "{header}");
+        }
     }
 
     #[test]
@@ -291,9 +389,7 @@ mod tests {
         let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (2,), }";
         let huge = header.replace("(2,)", "(99999999999, 99999999999)");
         assert!(why(&huge, &[0; 8]).contains("does not fit"));
-        assert!(why(&header.replace("False", "True"), &[0; 8]).contains("ascontiguousarray"));
         assert!(why(&header.replace("<f4", "|O"), &[0; 8]).contains("`|O`"));
-        assert!(why(&header.replace("<f4", ">f4"), &[0; 8]).contains("newbyteorder"));
         assert!(why("{                        }", &[0; 8]).contains("no `descr`"));
         assert!(parse(b"\x93NUMPY\x01\x00\xff\xff{}").unwrap_err().contains("cut off"));
         assert!(parse(b"PK0123456789").unwrap_err().contains(".npz archive"));

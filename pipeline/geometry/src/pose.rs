@@ -5,8 +5,8 @@ use std::marker::PhantomData;
 use std::ops::Mul;
 
 use glam::{DMat3, DQuat, DVec3};
-use rogs_schemas::RigidPose;
 use rogs_schemas::units::LengthUnit;
+use rogs_schemas::{RigidPose, WrittenPose};
 
 use crate::error::{Error, Result};
 use crate::rotation::{quaternion, rotation_from_euler_xyz};
@@ -110,6 +110,33 @@ impl<A: Frame, B: Frame> Pose<A, B> {
             rotation: [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]],
             translation: [m[3], m[7], m[11]],
         })
+    }
+
+    /// From any form in which poses are written. Rotations with few digits are made orthonormal.
+    ///
+    /// # Errors
+    /// As [`Pose::from_matrix4`]; also when a quaternion has not the length 1 (within [`RIGIDITY_TOLERANCE`]).
+    pub fn from_written(written: &WrittenPose) -> Result<Self> {
+        let pose = match written {
+            WrittenPose::Matrix(rows) => Self::from_matrix4(&std::array::from_fn(|index| rows[index / 4][index % 4]))?,
+            WrittenPose::Euler([x, y, z, a, b, c]) => Self::from_xyz_euler([*x, *y, *z], [*a, *b, *c]),
+            WrittenPose::Quaternion(translation, xyzw) => {
+                let quaternion = DQuat::from_array(*xyzw);
+                let length = quaternion.length();
+                if !((length - 1.0).abs() <= RIGIDITY_TOLERANCE) {
+                    return Err(Error::NotRigid {
+                        what: format!("the quaternion has the length {length}, not 1"),
+                    });
+                }
+                Self::new(
+                    DMat3::from_quat(quaternion.normalize()),
+                    DVec3::from_array(*translation),
+                )
+            }
+        };
+        pose.check_rigid()?;
+        let exact = pose.rigidity_residual() < 1e-9;
+        Ok(if exact { pose } else { pose.orthonormalized() })
     }
 
     /// The numbers for disk.
@@ -289,6 +316,53 @@ mod tests {
         assert!(identity.translation.length() < 1e-15);
         assert_eq!(Pose::<Base, Link>::from_rigid(&pose.to_rigid()).unwrap(), pose);
         assert_eq!(Pose::<Base, Link>::from_matrix4(&pose.to_matrix4()).unwrap(), pose);
+    }
+
+    #[test]
+    fn every_written_form_gives_the_same_pose() {
+        let expected = Pose::<Base, Camera>::from_xyz_euler([0.1, 0.2, 0.3], [0.4, -0.5, 0.6]);
+        let matrix = expected.to_matrix4();
+        let rows = |matrix: &[f64; 16]| {
+            WrittenPose::Matrix(std::array::from_fn(|row| {
+                std::array::from_fn(|column| matrix[4 * row + column])
+            }))
+        };
+        let quaternion = expected.quaternion().to_array();
+        let rounded = matrix.map(|entry| (entry * 1e6).round() / 1e6);
+        let mut uncleaned = matrix;
+        uncleaned[12] = 1e-8;
+        uncleaned[15] = 1.0 + 1e-8;
+        for (written, tolerance) in [
+            (rows(&matrix), 1e-12),
+            (rows(&rounded), 2e-6),
+            (rows(&uncleaned), 1e-12),
+            (WrittenPose::Euler([0.1, 0.2, 0.3, 0.4, -0.5, 0.6]), 1e-12),
+            (WrittenPose::Quaternion([0.1, 0.2, 0.3], quaternion), 1e-12),
+            (
+                WrittenPose::Quaternion([0.1, 0.2, 0.3], quaternion.map(|part| (part * 1e6).round() / 1e6)),
+                2e-6,
+            ),
+        ] {
+            let found = Pose::<Base, Camera>::from_written(&written).unwrap();
+            let far = found
+                .to_matrix4()
+                .iter()
+                .zip(&matrix)
+                .map(|(a, b)| (a - b).abs())
+                .fold(0.0, f64::max);
+            assert!(
+                far <= tolerance && found.rigidity_residual() < 1e-9,
+                "{written:?}: {far}"
+            );
+        }
+        for written in [
+            WrittenPose::Quaternion([0.0; 3], [0.0; 4]),
+            WrittenPose::Quaternion([0.0; 3], [0.0, 0.0, 0.0, 2.0]),
+            WrittenPose::Quaternion([0.0; 3], [f64::NAN, 0.0, 0.0, 1.0]),
+            WrittenPose::Euler([f64::INFINITY, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        ] {
+            assert!(Pose::<Base, Camera>::from_written(&written).is_err(), "{written:?}");
+        }
     }
 
     #[test]

@@ -10,7 +10,7 @@ use super::geometry::{NetworkCamera, encode_time, ray_maps};
 use super::positions::token_positions;
 use crate::{Error, Result};
 use rogs_kernels::{Precision, RotaryTable};
-use rogs_tensors::ops::{Linear, Rotary};
+use rogs_tensors::ops::{self, Linear, Rotary};
 use rogs_tensors::parameters::{Parameters, from_host};
 
 /// What the blocks of a clip need to know about its tokens.
@@ -68,8 +68,10 @@ impl<'a> Aggregator<'a> {
         let width = self.config.width;
         let scope = self.parameters.scope("backbone.plucker_ln");
         let (weight, bias) = (scope.get("weight", [width])?, scope.get("bias", [width])?);
-        let centred = rays.clone() - rays.mean().unsqueeze();
-        let variance = centred.clone().powf_scalar(2.0).mean().unsqueeze::<3>();
+        let count = rays.dims().iter().product::<usize>();
+        let mean = |values: Tensor<3>| ops::row_means(values.reshape([1, count])).reshape([1, 1, 1]);
+        let centred = rays.clone() - mean(rays);
+        let variance: Tensor<3> = mean(centred.clone().powf_scalar(2.0));
         Ok(centred / (variance + RAY_EPSILON).sqrt() * weight.unsqueeze() + bias.unsqueeze())
     }
 

@@ -85,7 +85,7 @@ impl<'a> Encoder<'a> {
                 [grid[0] * grid[1], side * side],
                 self.scope.device(),
             );
-            grid_positions = matrix.matmul(grid_positions);
+            grid_positions = ops::product(matrix, grid_positions);
         }
         let class = self.scope.get("cls_token", [1, 1, width])? + class_position.unsqueeze();
         let registers = self.scope.get("register_tokens", [1, self.config.registers, width])?;

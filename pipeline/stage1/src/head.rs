@@ -221,10 +221,7 @@ impl DenseHead {
                 weight, bias, products, ..
             } = layer;
             let outputs = weight.dims()[0];
-            let shift = weight
-                .clone()
-                .matmul(offset.clone().unsqueeze_dim(1))
-                .reshape([outputs]);
+            let shift = ops::product(weight.clone(), offset.clone().unsqueeze_dim(1)).reshape([outputs]);
             Linear::new(weight * scale.clone().unsqueeze(), bias.map(|bias| bias + shift)).with_products(products)
         }))
     }
@@ -333,7 +330,7 @@ impl DenseHead {
                 let tokens = map.reshape([frames, channels, count]).swap_dims(1, 2);
                 // A transposed convolution whose stride is its kernel size writes each output once.
                 let weight = weight.clone().reshape([channels, channels * kernel * kernel]);
-                let cells = tokens.reshape([frames * count, channels]).matmul(weight);
+                let cells = ops::product(tokens.reshape([frames * count, channels]), weight);
                 let cells = cells
                     .reshape([frames, rows, columns, channels, kernel, kernel])
                     .permute([0, 3, 1, 4, 2, 5]);

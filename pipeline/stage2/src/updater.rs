@@ -6,7 +6,7 @@ use burn::tensor::{Device, Int, Tensor, TensorData};
 
 use super::RefinerConfig;
 use crate::{Error, Result};
-use rogs_tensors::ops::{LayerNorm, Linear, gelu};
+use rogs_tensors::ops::{self, LayerNorm, Linear, gelu};
 use rogs_tensors::parameters::{Parameters, Scope, to_host};
 
 /// Tokens that are processed at a time where tokens do not see each other; bounds memory, does not change results.
@@ -77,7 +77,7 @@ impl NeighbourBlock {
         let width = self.qkv.dims()[0] / 3;
         let count = neighbours.count;
         let weight = self.qkv.clone().transpose();
-        let qkv = by_rows(tokens, |rows, _| rows.matmul(weight.clone()));
+        let qkv = by_rows(tokens, |rows, _| ops::product(rows, weight.clone()));
         let [total, _] = qkv.dims();
         let key_value = qkv.clone().slice([0..total, width..3 * width]);
         by_rows(qkv, |rows, first| {

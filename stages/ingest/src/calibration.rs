@@ -3,10 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use glam::{DMat3, DQuat};
-use rogs_geometry::rotation_from_euler_xyz;
-use rogs_schemas::Intrinsics;
 use rogs_schemas::episode::PixelCentres;
+use rogs_schemas::{Intrinsics, RigidPose, WrittenPose};
 use rogs_worker::StageResult;
 use serde::Deserialize;
 use serde_json::{Map, Value};
@@ -157,16 +155,15 @@ impl Calibration {
                     format!("camera `{name}` has both `camera_to_base` and `camera_to_link`"),
                 ));
             }
-            (Some(matrix), None, _) => Some(SourceMount::Fixed(checks::rigid_pose(
-                &matrix_of(matrix, &format!("`camera_to_base` of `{name}`"), path)?,
-                &format!("`camera_to_base` of `{name}`"),
-                path,
-            )?)),
-            (None, Some(matrix), Some(link)) => {
+            (Some(pose), None, _) => {
+                let what = format!("`camera_to_base` of `{name}`");
+                Some(SourceMount::Fixed(pose_of(pose, &what, path)?))
+            }
+            (None, Some(pose), Some(link)) => {
                 let what = format!("`camera_to_link` of `{name}`");
                 Some(SourceMount::HandEye {
                     link: link.clone(),
-                    link_from_camera: checks::rigid_pose(&matrix_of(matrix, &what, path)?, &what, path)?,
+                    link_from_camera: pose_of(pose, &what, path)?,
                 })
             }
             (None, Some(_), None) => {
@@ -216,54 +213,11 @@ fn distortion(rest: &Map<String, Value>) -> Option<&str> {
     rest.iter().find(found).map(|(name, _)| name.as_str())
 }
 
-/// The 4x4 matrix of a pose: four rows, the first three of them, six numbers `x y z roll pitch yaw` (metres, radians, as in
-/// DROID), or an object of `translation` and `quaternion_xyzw` or `quaternion_wxyz`.
-fn matrix_of(value: &Value, what: &str, path: &Path) -> StageResult<[[f64; 4]; 4]> {
-    const LAST: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
-    let numbers = |value: &Value| -> Option<Vec<f64>> { value.as_array()?.iter().map(Value::as_f64).collect() };
-    let rows = || -> Option<Vec<[f64; 4]>> {
-        value
-            .as_array()?
-            .iter()
-            .map(|row| numbers(row)?.try_into().ok())
-            .collect()
-    };
-    let from_parts = |rotation: DMat3, translation: &[f64]| {
-        let row = |axis: usize| {
-            let row = rotation.row(axis);
-            [row.x, row.y, row.z, translation[axis]]
-        };
-        [row(0), row(1), row(2), LAST]
-    };
-    if let Some(rows) = rows() {
-        match rows.as_slice() {
-            [a, b, c] => return Ok([*a, *b, *c, LAST]),
-            [a, b, c, d] => return Ok([*a, *b, *c, *d]),
-            _ => {}
-        }
-    }
-    if let Some([x, y, z, a, b, c]) = numbers(value).as_deref() {
-        return Ok(from_parts(rotation_from_euler_xyz([*a, *b, *c]), &[*x, *y, *z]));
-    }
-    if let Some(translation) = value
-        .get("translation")
-        .and_then(numbers)
-        .filter(|numbers| numbers.len() == 3)
-    {
-        let xyzw = value.get("quaternion_xyzw").and_then(numbers);
-        let wxyz = value.get("quaternion_wxyz").and_then(numbers);
-        let quaternion = match (xyzw.as_deref(), wxyz.as_deref()) {
-            (Some(&[x, y, z, w]), None) | (None, Some(&[w, x, y, z])) => DQuat::from_xyzw(x, y, z, w),
-            _ => DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0),
-        };
-        if (quaternion.length() - 1.0).abs() < 1e-3 {
-            return Ok(from_parts(DMat3::from_quat(quaternion.normalize()), &translation));
-        }
-    }
-    Err(wrong(path, format!("{what} is no pose")).with_hint(
-        "expected a 4x4 or 3x4 matrix in rows, `[x, y, z, roll, pitch, yaw]`, or `translation` with a unit \
-         `quaternion_xyzw` or `quaternion_wxyz`",
-    ))
+/// A pose in any form.
+fn pose_of(value: &Value, what: &str, path: &Path) -> StageResult<RigidPose> {
+    let written = WrittenPose::from_json(value)
+        .map_err(|expected| wrong(path, format!("{what} is no pose")).with_hint(expected))?;
+    checks::rigid_pose(&written, what, path)
 }
 
 #[cfg(test)]
@@ -321,42 +275,12 @@ mod tests {
     }
 
     #[test]
-    fn poses_come_in_every_usual_form() {
-        let pose = |text: &str| matrix_of(&serde_json::from_str(text).unwrap(), "pose", Path::new("c.json"));
-        let expected = [
-            [0.0, -1.0, 0.0, 1.0],
-            [1.0, 0.0, 0.0, 2.0],
-            [0.0, 0.0, 1.0, 3.0],
-            [0.0, 0.0, 0.0, 1.0],
-        ];
-        for text in [
-            "[[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]",
-            "[[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3]]",
-            "[1, 2, 3, 0, 0, 1.5707963267948966]",
-            "{\"translation\": [1, 2, 3], \"quaternion_xyzw\": [0, 0, 0.7071067811865476, 0.7071067811865476]}",
-            "{\"translation\": [1, 2, 3], \"quaternion_wxyz\": [0.7071067811865476, 0, 0, 0.7071067811865476]}",
-        ] {
-            let found = pose(text).unwrap();
-            let same = found
-                .iter()
-                .flatten()
-                .zip(expected.iter().flatten())
-                .all(|(a, b)| (a - b).abs() < 1e-12);
-            assert!(same, "{text}: {found:?}");
-        }
-        for text in [
-            "[[1, 2], [3, 4]]",
-            "[1, 2, 3]",
-            "{\"translation\": [1, 2, 3]}",
-            "7",
-            "[[1, 0, 0, 0]]",
-            "{\"translation\": [1, 2, 3], \"quaternion_xyzw\": [0, 0, 0, 2]}",
-        ] {
-            let error = pose(text).unwrap_err();
-            assert!(
-                error.message.contains("is no pose") && error.hint.unwrap().contains("3x4"),
-                "{text}"
-            );
-        }
+    fn a_pose_that_is_none_names_the_camera_and_the_forms() {
+        let calibration = read("\"camera_to_base\": [1, 2, 3]", "").unwrap();
+        let error = calibration.camera(&["a"], (4, 4)).err().unwrap();
+        assert!(error.message.contains("`camera_to_base` of `a` is no pose"), "{error}");
+        assert!(error.hint.unwrap().contains("3x4"));
+        let calibration = read("\"camera_to_base\": [0.1, 0.2, 0.3, 0, 0, 1.5]", "").unwrap();
+        assert!(calibration.camera(&["a"], (4, 4)).unwrap().unwrap().mount.is_some());
     }
 }

@@ -3,50 +3,38 @@
 use std::path::Path;
 
 use rogs_geometry::{Base, Camera, Pose};
-use rogs_schemas::{Intrinsics, RigidPose};
+use rogs_schemas::{Intrinsics, RigidPose, WrittenPose};
 use rogs_worker::StageResult;
 
 use crate::fault::wrong;
 use crate::source::States;
 
-/// A rigid pose from a row-major 4x4 matrix; rotations printed with few digits are made orthonormal.
-pub(crate) fn rigid_pose(matrix: &[[f64; 4]; 4], what: &str, path: &Path) -> StageResult<RigidPose> {
-    let flat: Vec<f64> = matrix.iter().flatten().copied().collect();
-    if flat.iter().take(12).all(|&entry| entry == 0.0) {
-        return Err(wrong(path, format!("{what} is all zeros: it was never filled in"))
-            .with_hint("give a calibration file, see docs/calibration-format.md"));
-    }
-    let flat: [f64; 16] = flat
-        .try_into()
-        .map_err(|_| wrong(path, format!("{what} is not a 4x4 matrix")))?;
-    let pose: Pose<Base, Camera> =
-        Pose::from_matrix4(&flat).map_err(|error| wrong(path, format!("{what} is not rigid: {error}")))?;
-    plausible(pose, what, path)
-}
-
-/// A rigid pose from `x, y, z` (metres) and the Euler angles of the DROID logs (radians).
-pub(crate) fn euler_pose(values: &[f64; 6], what: &str, path: &Path) -> StageResult<RigidPose> {
-    if values.iter().all(|&value| value == 0.0) {
+/// A rigid pose in any form that poses are written in; rotations printed with few digits are made orthonormal.
+pub(crate) fn rigid_pose(written: &WrittenPose, what: &str, path: &Path) -> StageResult<RigidPose> {
+    /// No camera of a table-top robot is further away, metres.
+    const FAR: f64 = 20.0;
+    let empty = match written {
+        WrittenPose::Matrix(rows) => rows[..3].iter().flatten().all(|&entry| entry == 0.0),
+        WrittenPose::Euler(six) => six.iter().all(|&entry| entry == 0.0),
+        WrittenPose::Quaternion(_, xyzw) => xyzw.iter().all(|&entry| entry == 0.0),
+    };
+    if empty {
         return Err(wrong(path, format!("{what} is all zeros: it was never filled in"))
             .with_hint("give a calibration file with the camera's pose, see docs/calibration-format.md"));
     }
-    if let Some(value) = values.iter().find(|value| !value.is_finite()) {
-        return Err(wrong(path, format!("{what} contains {value}")));
-    }
-    let [x, y, z, a, b, c] = *values;
-    plausible(Pose::from_xyz_euler([x, y, z], [a, b, c]), what, path)
-}
-
-fn plausible(pose: Pose<Base, Camera>, what: &str, path: &Path) -> StageResult<RigidPose> {
-    /// No camera of a table-top robot is further away, metres.
-    const FAR: f64 = 20.0;
+    let pose: Pose<Base, Camera> =
+        Pose::from_written(written).map_err(|error| wrong(path, format!("{what} is not rigid: {error}")))?;
     let distance = pose.translation.length();
     if distance > FAR {
         return Err(wrong(path, format!("{what} has a translation of {distance:.1} m"))
             .with_hint("translations are metres; were these millimetres?"));
     }
-    let exact = pose.rigidity_residual() < 1e-9;
-    Ok(if exact { pose } else { pose.orthonormalized() }.to_rigid())
+    Ok(pose.to_rigid())
+}
+
+/// A rigid pose from `x, y, z` (metres) and the Euler angles of the DROID logs (radians).
+pub(crate) fn euler_pose(values: &[f64; 6], what: &str, path: &Path) -> StageResult<RigidPose> {
+    rigid_pose(&WrittenPose::Euler(*values), what, path)
 }
 
 /// Intrinsics that a camera with images of this size can have.
@@ -169,11 +157,18 @@ mod tests {
             [0.0, 0.0, 1.0, 0.3],
             [0.0, 0.0, 0.0, 1.0],
         ];
-        assert_eq!(rigid_pose(&turned, "pose", path).unwrap().translation, [0.1, 0.2, 0.3]);
+        assert_eq!(
+            rigid_pose(&WrittenPose::Matrix(turned), "pose", path)
+                .unwrap()
+                .translation,
+            [0.1, 0.2, 0.3]
+        );
         let change = |row: usize, column: usize, value: f64| {
             let mut matrix = turned;
             matrix[row][column] = value;
-            rigid_pose(&matrix, "pose of `ext1`", path).unwrap_err().message
+            rigid_pose(&WrittenPose::Matrix(matrix), "pose of `ext1`", path)
+                .unwrap_err()
+                .message
         };
         assert!(change(2, 2, -1.0).contains("reflection"));
         assert!(change(2, 2, 1.1).contains("not rigid"));
@@ -181,7 +176,7 @@ mod tests {
         assert!(change(0, 3, f64::NAN).contains("not finite"));
         assert!(change(0, 3, 450.0).contains("450.0 m"));
         assert!(
-            rigid_pose(&[[0.0; 4]; 4], "pose", path)
+            rigid_pose(&WrittenPose::Matrix([[0.0; 4]; 4]), "pose", path)
                 .unwrap_err()
                 .message
                 .contains("all zeros")

@@ -76,14 +76,6 @@ impl SourceDepth {
     }
 }
 
-/// A `.npy` file of floating-point numbers of this shape.
-pub(crate) fn open_floats(path: &Path, shape: &[usize]) -> StageResult<NpyFile> {
-    let array = NpyFile::open(path).map_err(unreadable)?;
-    array.expect_shape(shape).map_err(unreadable)?;
-    array.expect_floats().map_err(unreadable)?;
-    Ok(array)
-}
-
 /// The depth of an OpenEXR file of the expected size (width, height), metres. `[h, w]`
 fn read_exr(path: &Path, (width, height): (u32, u32)) -> StageResult<Vec<f64>> {
     let image = FlatExr::open(path).map_err(unreadable)?;

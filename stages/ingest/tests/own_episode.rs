@@ -13,7 +13,7 @@ use rogs_schemas::episode::{Episode, EpisodeMount};
 use rogs_schemas::protocol::FailureCode;
 use rogs_schemas::records::clip::{CameraMount, CameraRole};
 use rogs_schemas::records::origin::ReferenceOrigin;
-use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex};
+use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex, WrittenPose};
 
 /// The clip at the recorded size.
 fn params() -> Params {
@@ -251,7 +251,10 @@ fn damaged_descriptions_name_the_camera() {
         let EpisodeMount::Fixed { base_from_camera } = &mut episode.cameras[1].mount else {
             panic!("fixed")
         };
-        base_from_camera.0[row][column] = value;
+        let WrittenPose::Matrix(rows) = base_from_camera else {
+            panic!("a matrix")
+        };
+        rows[row][column] = value;
     };
     assert!(described("shear", |e| fixed(e, 0, 0, 0.5)).contains("`base_from_camera` of camera `ext1` is not rigid"));
     assert!(described("mirror", |e| fixed(e, 2, 2, -1.0)).contains("reflection"));

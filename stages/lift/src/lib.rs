@@ -49,7 +49,7 @@ pub struct Lift {
 impl Stage for Lift {
     const NAME: &'static str = "lift";
     const SUMMARY: &'static str = "Lifts the source views of a clip to a time-queryable Gaussian field (Stage 1)";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const OUTPUT: SchemaId = <Field as Record>::SCHEMA;
     type Params = LiftParams;
 

@@ -12,7 +12,7 @@ use rogs_schemas::ids::check_name;
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::units::LengthUnit;
-use rogs_schemas::{Device, Intrinsics};
+use rogs_schemas::{Device, Intrinsics, WrittenPose};
 use rogs_splat::{Gaussians, RasterCamera, RasterConfig, RasterDevice, Render};
 use serde::{Deserialize, Serialize};
 
@@ -103,8 +103,8 @@ struct CameraSpec {
     width: u32,
     height: u32,
     intrinsics: Intrinsics,
-    base_from_camera: Option<[[f64; 4]; 4]>,
-    recon_from_camera: Option<[[f64; 4]; 4]>,
+    base_from_camera: Option<WrittenPose>,
+    recon_from_camera: Option<WrittenPose>,
 }
 
 fn default_name() -> String {
@@ -303,11 +303,11 @@ fn read_cameras(path: &Path) -> anyhow::Result<Vec<CameraSpec>> {
 
 /// The camera of a view, in metres and as it is rendered from.
 fn camera(spec: &CameraSpec, scene: &Scene) -> anyhow::Result<(PosedCamera<Recon>, RasterCamera)> {
-    let flat = |matrix: &[[f64; 4]; 4]| -> [f64; 16] { std::array::from_fn(|index| matrix[index / 4][index % 4]) };
+    let of_camera = || format!("the pose of camera `{}`", spec.name);
     let recon_from_camera: Pose<Recon, Camera> = match (&spec.recon_from_camera, &spec.base_from_camera) {
-        (Some(matrix), None) => Pose::from_matrix4(&flat(matrix))?,
-        (None, Some(matrix)) => {
-            let base_from_camera: Pose<Base, Camera> = Pose::from_matrix4(&flat(matrix))?;
+        (Some(written), None) => Pose::from_written(written).with_context(of_camera)?,
+        (None, Some(written)) => {
+            let base_from_camera: Pose<Base, Camera> = Pose::from_written(written).with_context(of_camera)?;
             scene.recon_from_base * base_from_camera
         }
         _ => bail!(

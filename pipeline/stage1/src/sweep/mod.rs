@@ -185,7 +185,9 @@ impl<'a> Sweeping<'a> {
         };
         let map = map(0)? + resized_like(map(1)? + resized_like(map(2)?, &seen[1]), &seen[0]);
         // Less what all of an image has in common: brightness, and what is the same for every feature.
-        let map = map.clone() - map.mean_dims(&[2, 3]);
+        let [count, features, rows, columns] = map.dims();
+        let means = ops::row_means(map.clone().reshape([count * features, rows * columns]));
+        let map = map - means.reshape([count, features, 1, 1]);
         let length = (map.clone().powf_scalar(2.0).sum_dim(1) + EPSILON).sqrt();
         Ok(map / length)
     }

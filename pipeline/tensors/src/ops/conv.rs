@@ -4,7 +4,7 @@ use std::sync::{Arc, OnceLock};
 
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Tensor, module};
-use rogs_kernels::{Activation, Conv3x3, Precision, TileSize, Winograd};
+use rogs_kernels::{Activation, Conv3x3, Matrix, PackedWeight, Precision, TileSize, Winograd};
 
 use super::relu;
 use crate::parameters::{Scope, from_host};
@@ -99,6 +99,9 @@ impl Conv {
 
     fn plain(&self, input: Tensor<4>) -> Tensor<4> {
         let [outputs, inputs, size, _] = self.weight.dims();
+        if host::usable(&input) && host::usable(&self.weight) {
+            return self.by_patches(&input);
+        }
         if size == 1 && self.stride == 1 {
             return self.pointwise(input, outputs, inputs);
         }
@@ -123,6 +126,40 @@ impl Conv {
             None => product,
         };
         product.reshape([images, outputs, height, width])
+    }
+
+    /// The convolution as products of its weights with the patch around every output, zeros beyond the edges.
+    fn by_patches(&self, input: &Tensor<4>) -> Tensor<4> {
+        let ([images, inputs, height, width], [outputs, _, size, _]) = (input.dims(), self.weight.dims());
+        let along = |length: usize| (length + 2 * self.padding).saturating_sub(size) / self.stride + 1;
+        let (rows, columns) = (along(height), along(width));
+        let (area, weight) = (rows * columns, host::values(&self.weight));
+        let of_image = |image: &[f32]| -> Vec<f32> {
+            let mut patches = vec![0.0; inputs * size * size * area];
+            for (unit, line) in patches.chunks_exact_mut(area.max(1)).enumerate() {
+                let (channel, down, across) = (unit / (size * size), unit / size % size, unit % size);
+                let plane = &image[channel * height * width..][..height * width];
+                for (place, value) in line.iter_mut().enumerate() {
+                    let at = |index: usize, offset: usize| (index * self.stride + offset).wrapping_sub(self.padding);
+                    let (row, column) = (at(place / columns, down), at(place % columns, across));
+                    if row < height && column < width {
+                        *value = plane[row * width + column];
+                    }
+                }
+            }
+            PackedWeight::of(Matrix::new(&patches, area).transposed(), Precision::F32).apply(&weight, |_, _, _| {})
+        };
+        let mut values: Vec<f32> = host::with_values(input, |input| {
+            input
+                .chunks_exact((inputs * height * width).max(1))
+                .flat_map(of_image)
+                .collect()
+        });
+        let bias = self.host_bias();
+        for (plane, line) in values.chunks_exact_mut(area.max(1)).enumerate() {
+            line.iter_mut().for_each(|value| *value += bias[plane % outputs]);
+        }
+        from_host(values, [images, outputs, rows, columns], &input.device())
     }
 
     /// Whether this convolution on this input has a kernel.

@@ -194,7 +194,7 @@ impl Linear {
 /// W + (alpha / rank) B A.
 #[must_use]
 pub fn fold(weight: Tensor<2>, [a, b]: [Tensor<2>; 2]) -> Tensor<2> {
-    weight + b.matmul(a) * LORA_SCALE
+    weight + super::product(b, a) * LORA_SCALE
 }
 
 /// y = x W^T + b on the last dimension, `weight [out, in]`. While gradients are recorded on the CPU, products are made of

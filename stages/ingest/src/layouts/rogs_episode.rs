@@ -4,17 +4,16 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use rogs_arrays::{ANY, NpyFile};
-use rogs_schemas::Intrinsics;
 use rogs_schemas::episode::{
     EPISODE_FILE, EPISODE_FORMAT, Episode, EpisodeCamera, EpisodeCameraRole, EpisodeMount, EpisodeRobot, EpisodeTracks,
-    GRIPPER_COLUMN, Matrix4, PixelCentres, TIME_COLUMN,
+    GRIPPER_COLUMN, PixelCentres, TIME_COLUMN,
 };
 use rogs_schemas::records::clip::CameraRole;
+use rogs_schemas::{Intrinsics, WrittenPose};
 use rogs_worker::StageResult;
 
 use crate::calibration::Calibration;
 use crate::checks;
-use crate::depth::open_floats;
 use crate::fault::{inside, read_text, unreadable, wrong};
 use crate::images::FrameSource;
 use crate::params::StateColumns;
@@ -143,7 +142,7 @@ fn open_camera(
         None => (own()?, None),
     };
     let rigid =
-        |Matrix4(matrix): &Matrix4, what: &str| checks::rigid_pose(matrix, &format!("{what} of camera `{id}`"), path);
+        |written: &WrittenPose, what: &str| checks::rigid_pose(written, &format!("{what} of camera `{id}`"), path);
     let mount = match (other_mount, &camera.mount) {
         (Some(mount), _) => mount,
         (None, EpisodeMount::Fixed { base_from_camera }) => {
@@ -197,12 +196,29 @@ fn open_camera(
 }
 
 fn read_trajectory(path: &Path, frames: u32) -> StageResult<SourceMount> {
-    let values = open_floats(path, &[frames as usize, 4, 4])?.all().map_err(unreadable)?;
-    let pose = |(frame, matrix): (usize, &[f64; 16])| {
-        let rows = [0, 4, 8, 12].map(|row| [matrix[row], matrix[row + 1], matrix[row + 2], matrix[row + 3]]);
-        checks::rigid_pose(&rows, &format!("the pose at frame {frame}"), path)
+    let mut array = NpyFile::open(path).map_err(unreadable)?;
+    array.expect_floats().map_err(unreadable)?;
+    let shape = array.shape().to_vec();
+    let (Some(&count), [4 | 3, 4] | [6]) = (shape.first(), &shape[1..]) else {
+        let what = format!("its shape is {shape:?}, poses are [{frames}, 4, 4], [{frames}, 3, 4] or [{frames}, 6]");
+        return Err(
+            wrong(path, what).with_hint("six numbers are x, y, z, roll, pitch, yaw; quaternions: convert to matrices")
+        );
     };
-    let poses: StageResult<Vec<_>> = values.as_chunks::<16>().0.iter().enumerate().map(pose).collect();
+    if count != frames as usize {
+        return Err(wrong(
+            path,
+            format!("it has {count} poses, the episode {frames} frames"),
+        ));
+    }
+    let numbers = shape[1..].iter().product();
+    let values = array.all().map_err(unreadable)?;
+    let pose = |(frame, numbers): (usize, &[f64])| {
+        let what = format!("the pose at frame {frame}");
+        let written = WrittenPose::from_numbers(numbers).ok_or_else(|| wrong(path, format!("{what} is no pose")))?;
+        checks::rigid_pose(&written, &what, path)
+    };
+    let poses: StageResult<Vec<_>> = values.chunks_exact(numbers).enumerate().map(pose).collect();
     Ok(SourceMount::Trajectory(poses?))
 }
 

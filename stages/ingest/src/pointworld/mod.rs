@@ -11,8 +11,8 @@ mod tar;
 use std::path::{Path, PathBuf};
 
 use rogs_geometry::{Base, Camera, Pose};
-use rogs_schemas::RigidPose;
 use rogs_schemas::records::clip::CameraRole;
+use rogs_schemas::{RigidPose, WrittenPose};
 use rogs_worker::StageResult;
 
 pub(crate) use self::depth::read_cached;
@@ -111,7 +111,7 @@ fn serials(source: &Source) -> String {
 /// Camera-to-base of a base-to-camera matrix, as PointWorld keeps poses. `own` is what the episode says of the camera: a
 /// matrix that fits it only the other way round is refused.
 fn base_from_camera(matrix: &[[f64; 4]; 4], what: &str, own: &SourceMount, path: &Path) -> StageResult<RigidPose> {
-    let stored = crate::checks::rigid_pose(matrix, what, path)?;
+    let stored = crate::checks::rigid_pose(&WrittenPose::Matrix(*matrix), what, path)?;
     let inverted = inverse(&stored, what, path)?;
     if let SourceMount::Fixed(own) = own {
         /// Refined poses stay this near to measured ones, metres and radians.

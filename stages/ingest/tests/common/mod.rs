@@ -9,10 +9,10 @@ use std::path::{Path, PathBuf};
 
 use rogs_schemas::episode::{
     EPISODE_FORMAT, Episode, EpisodeCamera, EpisodeCameraRole, EpisodeDepth, EpisodeMount, EpisodeRobot, EpisodeTracks,
-    Matrix4, PixelCentres,
+    PixelCentres,
 };
 use rogs_schemas::records::origin::ReferenceOrigin;
-use rogs_schemas::{EpisodeFrame, Intrinsics, RigidPose};
+use rogs_schemas::{EpisodeFrame, Intrinsics, RigidPose, WrittenPose};
 
 pub(crate) const FRAMES: u32 = 20;
 pub(crate) const WIDTH: u32 = 40;
@@ -70,7 +70,7 @@ pub(crate) fn pose(x: f64) -> RigidPose {
 
 /// The description of the small episode.
 pub(crate) fn description() -> Episode {
-    let matrix = |x| Matrix4::from(pose(x));
+    let matrix = |x| WrittenPose::from(pose(x));
     let hand_eye = EpisodeMount::HandEye {
         link: "panda_link8".into(),
         link_from_camera: matrix(0.0),
@@ -197,7 +197,12 @@ pub(crate) fn write_episode(folder: &Path) {
             .save(path)
             .unwrap();
     }
-    let matrices = (0..FRAMES).flat_map(|frame| Matrix4::from(pose(f64::from(frame) * 0.1)).0.into_iter().flatten());
+    let matrices = (0..FRAMES).flat_map(|frame| {
+        let WrittenPose::Matrix(rows) = WrittenPose::from(pose(f64::from(frame) * 0.1)) else {
+            panic!("a matrix")
+        };
+        rows.into_iter().flatten()
+    });
     npy(
         &folder.join("right.npy"),
         "<f8",
