@@ -207,8 +207,11 @@ pub fn npy_numbers(bytes: &[u8]) -> std::result::Result<(Vec<usize>, Vec<f64>), 
     Ok((shape, dtype.doubles(&data)))
 }
 
-/// Type, shape and bytes (little endian, C order) of the numbers of a `.npy` file in memory.
-pub(crate) fn parse(bytes: &[u8]) -> std::result::Result<(Dtype, Vec<usize>, Cow<'_, [u8]>), String> {
+/// Type, shape and bytes (little endian, C order).
+type Parsed<'a> = (Dtype, Vec<usize>, Cow<'a, [u8]>);
+
+/// What a `.npy` file in memory holds.
+pub(crate) fn parse(bytes: &[u8]) -> std::result::Result<Parsed<'_>, String> {
     let start = data_start(bytes)?;
     let (dtype, layout, shape) = header(bytes, start)?;
     let data = &bytes[start..];

@@ -123,7 +123,7 @@ impl<A: Frame, B: Frame> Pose<A, B> {
             WrittenPose::Quaternion(translation, xyzw) => {
                 let quaternion = DQuat::from_array(*xyzw);
                 let length = quaternion.length();
-                if !((length - 1.0).abs() <= RIGIDITY_TOLERANCE) {
+                if !length.is_finite() || (length - 1.0).abs() > RIGIDITY_TOLERANCE {
                     return Err(Error::NotRigid {
                         what: format!("the quaternion has the length {length}, not 1"),
                     });

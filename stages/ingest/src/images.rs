@@ -77,13 +77,13 @@ pub(crate) fn is_video(path: &Path) -> bool {
 }
 
 impl FrameSource {
-    /// A folder or video of an own episode, with exactly `frame_count` frames of the size.
-    pub(crate) fn open(path: PathBuf, frame_count: u32, size: (u32, u32)) -> StageResult<Self> {
+    /// A folder or video of an own episode, with exactly `frame_count` frames of the size, `fps` of them a second.
+    pub(crate) fn open(path: PathBuf, (frame_count, fps): (u32, f64), size: (u32, u32)) -> StageResult<Self> {
         if !is_video(&path) {
             check_folder(&path, frame_count)?;
             return Ok(Self::Folder(path));
         }
-        let info = video::probe(&path)?;
+        let mut info = video::probe(&path)?;
         check_size(&path, (info.width, info.height), size).map_err(|error| match info.notes.first() {
             Some(note) => error.with_hint(format!(
                 "{note}; the episode's width and height are those of such images"
@@ -96,6 +96,7 @@ impl FrameSource {
                 format!("it has {} frames, the episode {frame_count}", info.frames),
             ));
         }
+        info.notes.extend(info.other_rate(fps));
         Ok(Self::Video {
             path,
             info,

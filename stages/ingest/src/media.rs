@@ -22,6 +22,22 @@ pub(crate) struct VideoInfo {
     pub(crate) notes: Vec<String>,
 }
 
+impl VideoInfo {
+    /// What to say where the video has another rate than the episode.
+    pub(crate) fn other_rate(&self, fps: f64) -> Option<String> {
+        /// Rates such as 29.97 for 30 are the same, and so are those of recorders that do not keep time exactly.
+        const TOLERANCE: f64 = 0.02;
+        let differs = self.fps > 0.0 && (self.fps / fps - 1.0).abs() > TOLERANCE;
+        differs.then(|| {
+            format!(
+                "it says {:.2} frames a second, the episode {fps}: frames are taken by number, one for every row; check \
+                 `fps` and that images and states belong together",
+                self.fps
+            )
+        })
+    }
+}
+
 /// The video programs and what they can do.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct MediaReport {

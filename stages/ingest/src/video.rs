@@ -27,6 +27,17 @@ const FORMATS: &str = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi";
 struct Probe {
     #[serde(default)]
     streams: Vec<ProbeStream>,
+    #[serde(default)]
+    packets: Vec<Packet>,
+}
+
+/// One encoded frame.
+#[derive(Deserialize)]
+struct Packet {
+    /// Seconds at which it is shown; some containers do not say it for every frame.
+    pts_time: Option<String>,
+    #[serde(default)]
+    flags: String,
 }
 
 #[derive(Deserialize)]
@@ -36,7 +47,6 @@ struct ProbeStream {
     width: Option<u32>,
     height: Option<u32>,
     nb_frames: Option<String>,
-    nb_read_packets: Option<String>,
     avg_frame_rate: Option<String>,
     sample_aspect_ratio: Option<String>,
     #[serde(default)]
@@ -62,16 +72,9 @@ pub(crate) fn probe(path: &Path) -> StageResult<VideoInfo> {
         "-format_whitelist",
         FORMATS,
     ]);
-    command.args([
-        "-select_streams",
-        "v:0",
-        "-count_packets",
-        "-of",
-        "json",
-        "-show_entries",
-    ]);
+    command.args(["-select_streams", "v:0", "-of", "json", "-show_entries"]);
     command.arg(
-        "stream=codec_name,width,height,nb_frames,nb_read_packets,avg_frame_rate,sample_aspect_ratio:stream_side_data=rotation",
+        "stream=codec_name,width,height,nb_frames,avg_frame_rate,sample_aspect_ratio:stream_side_data=rotation:packet=pts_time,flags",
     );
     command.arg(url(path)).stdin(Stdio::null());
     let output = command.output().map_err(|error| no_program("ffprobe", &error))?;
@@ -96,15 +99,17 @@ pub(crate) fn probe(path: &Path) -> StageResult<VideoInfo> {
         ));
     }
     let number = |text: &Option<String>| text.as_ref().and_then(|text| text.parse::<u64>().ok());
-    let frames = number(&stream.nb_read_packets).ok_or_else(|| wrong(path, "its frames cannot be counted"))?;
+    let stored = probe.packets.len() as u64;
     if let Some(declared) = number(&stream.nb_frames)
-        && declared != frames
+        && declared != stored
     {
         return Err(wrong(
             path,
-            format!("its header declares {declared} frames but it holds {frames}: it is cut off"),
+            format!("its header declares {declared} frames but it holds {stored}: it is cut off"),
         ));
     }
+    let shown = shown_at(&probe.packets);
+    let frames = shown.len() as u64;
     let quarter_turns = quarter_turns(stream).map_err(|what| wrong(path, what))?;
     let (width, height) = if quarter_turns % 2 == 1 {
         (height, width)
@@ -119,7 +124,10 @@ pub(crate) fn probe(path: &Path) -> StageResult<VideoInfo> {
         frames,
         fps,
         quarter_turns,
-        notes: notes(stream, quarter_turns),
+        notes: notes(stream, quarter_turns)
+            .into_iter()
+            .chain(notes_of_times(stored, &shown))
+            .collect(),
     })
 }
 
@@ -137,6 +145,60 @@ fn quarter_turns(stream: &ProbeStream) -> Result<u32, String> {
         ));
     }
     Ok(quarters.round().rem_euclid(4.0) as u32)
+}
+
+/// When each frame is shown that an edit list does not hide, in seconds as far as the file says so. Decoders leave out the
+/// hidden ones.
+fn shown_at(packets: &[Packet]) -> Vec<Option<f64>> {
+    let shown = packets.iter().filter(|packet| !packet.flags.contains('D'));
+    shown
+        .map(|packet| {
+            packet
+                .pts_time
+                .as_ref()?
+                .parse()
+                .ok()
+                .filter(|time: &f64| time.is_finite())
+        })
+        .collect()
+}
+
+/// What the times of the frames say that counting them does not: hidden frames, a late start, gaps.
+fn notes_of_times(stored: u64, shown: &[Option<f64>]) -> Vec<String> {
+    /// Encoders with reordered frames begin a few frames late, seconds.
+    const LATE: f64 = 0.25;
+    let mut notes = Vec::new();
+    let hidden = stored - shown.len() as u64;
+    if hidden > 0 {
+        notes.push(format!(
+            "its edit list hides {hidden} of its {stored} frames: they are left out, as players do"
+        ));
+    }
+    let Some(mut times) = shown.iter().copied().collect::<Option<Vec<f64>>>() else {
+        return notes;
+    };
+    times.sort_by(f64::total_cmp);
+    if let Some(&first) = times.first().filter(|first| **first > LATE) {
+        notes.push(format!(
+            "its first frame is shown at {first:.3} s: frames are taken by number, so the first belongs to row 0"
+        ));
+    }
+    let steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let mut sorted = steps.clone();
+    sorted.sort_by(f64::total_cmp);
+    let Some(&usual) = sorted.get(sorted.len() / 2) else {
+        return notes;
+    };
+    let gaps = steps.iter().filter(|step| **step > 1.5 * usual).count();
+    let longest = steps.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1));
+    if let Some((before, step)) = longest.filter(|_| gaps > 0) {
+        notes.push(format!(
+            "its times leave {gaps} gaps, the longest of {step:.3} s before frame {}, where frames are usually {usual:.3} s \
+             apart: frames are taken by number",
+            before + 1
+        ));
+    }
+    notes
 }
 
 /// What the file says about how it is to be shown.
@@ -343,6 +405,46 @@ mod tests {
         for square in ["1:1", "0:1", "N/A"] {
             assert!(notes(&stream(&format!(",\"sample_aspect_ratio\":\"{square}\"")), 0).is_empty());
         }
+    }
+
+    #[test]
+    fn edit_lists_late_starts_and_gaps_are_told() {
+        let packets = |times: &[(f64, &str)]| -> Vec<Packet> {
+            let packet = |(time, flags): &(f64, &str)| Packet {
+                pts_time: Some(time.to_string()),
+                flags: (*flags).to_owned(),
+            };
+            times.iter().map(packet).collect()
+        };
+        let told = |times: &[(f64, &str)]| {
+            let packets = packets(times);
+            let shown = shown_at(&packets);
+            (shown.len(), notes_of_times(packets.len() as u64, &shown))
+        };
+        assert_eq!(
+            told(&[(0.0, "K_"), (0.2, "__"), (0.1, "__")]),
+            (3, vec![]),
+            "reordered frames"
+        );
+        let (frames, notes) = told(&[(-0.1, "KD"), (0.0, "__"), (0.1, "__")]);
+        assert_eq!(frames, 2);
+        assert!(notes[0].contains("hides 1 of its 3 frames"), "{notes:?}");
+        let (_, notes) = told(&[(0.5, "K_"), (0.6, "__"), (0.7, "__")]);
+        assert!(notes[0].contains("first frame is shown at 0.500 s"), "{notes:?}");
+        let (_, notes) = told(&[(0.0, "K_"), (0.1, "__"), (0.2, "__"), (0.6, "__"), (0.7, "__")]);
+        assert!(
+            notes[0].contains("1 gaps, the longest of 0.400 s before frame 3"),
+            "{notes:?}"
+        );
+        let silent = Packet {
+            pts_time: None,
+            flags: String::new(),
+        };
+        assert_eq!(
+            notes_of_times(1, &shown_at(&[silent])),
+            Vec::<String>::new(),
+            "AVI does not say"
+        );
     }
 
     #[test]

@@ -27,6 +27,10 @@ pub(crate) fn missing(need: &str, why: &str) -> Result<Option<String>, String> {
         "opencv" => unless(imports("cv2"), "needs Python with OpenCV (ROGS_PEER_PYTHON)"),
         "zstandard" => unless(imports("zstandard"), "needs Python with zstandard (ROGS_PEER_PYTHON)"),
         "cc" => unless(on_path("cc"), "needs a C compiler (cc)"),
+        "qemu" => unless(
+            cfg!(target_arch = "x86_64") && on_path("qemu-x86_64-static"),
+            "needs qemu-x86_64-static on an x86-64 machine",
+        ),
         "bash" => unless(on_path("bash"), "needs bash"),
         // A mount namespace takes the same right as a mount, and leaves nothing behind.
         "mount" => unless(succeeds("unshare", &["--mount", "true"]), "needs the right to mount"),

@@ -1,9 +1,10 @@
 //! Layer normalisation.
 
 use burn::tensor::{Tensor, module};
-use rogs_kernels::Norm;
+use rayon::prelude::*;
+use rogs_kernels::{Norm, vectorised};
 
-use crate::parameters::Scope;
+use crate::parameters::{Scope, from_host};
 use crate::{Result, differentiable, host};
 
 /// Layer normalisation over the last dimension, with its affine map.
@@ -32,6 +33,9 @@ impl LayerNorm {
     pub fn forward<const D: usize>(&self, input: Tensor<D>) -> Tensor<D> {
         if differentiable::usable(&input) {
             return differentiable::layer_norm(input, self.weight.clone(), self.bias.clone(), self.epsilon);
+        }
+        if host::usable(&input) && host::usable(&self.weight) {
+            return by_kernel(&input, &self.host());
         }
         module::layer_norm(input, self.weight.clone(), Some(self.bias.clone()), self.epsilon)
     }
@@ -73,5 +77,27 @@ pub fn standardise<const D: usize>(input: Tensor<D>, epsilon: f64) -> Tensor<D> 
         let zeros = ones.zeros_like();
         return differentiable::layer_norm(input, ones, zeros, epsilon);
     }
+    if host::usable(&input) {
+        let (weight, bias, epsilon) = (vec![1.0; size], vec![0.0; size], epsilon as f32);
+        return by_kernel(&input, &HostNorm { weight, bias, epsilon });
+    }
     module::layer_norm(input, ones, None, epsilon)
+}
+
+/// The norm of every row by a kernel whose sums have the same order for vectors of any width; the framework's have not.
+fn by_kernel<const D: usize>(input: &Tensor<D>, norm: &HostNorm) -> Tensor<D> {
+    /// Rows of a task.
+    const ROWS: usize = 64;
+    let mut values = host::values(input);
+    values.par_chunks_mut(ROWS * norm.weight.len().max(1)).for_each(|rows| {
+        vectorised(
+            #[inline(always)]
+            || {
+                for row in rows.chunks_exact_mut(norm.weight.len().max(1)) {
+                    norm.borrow().apply(row);
+                }
+            },
+        );
+    });
+    from_host(values, input.dims(), &input.device())
 }

@@ -134,7 +134,8 @@ fn open_camera(
         .get(key)
         .ok_or_else(|| wrong(&info_path, format!("episode {} has no video of `{key}`", episode.index)))?;
     let path = inside(&dataset.root, file, &info_path)?;
-    let info = video::probe(&path)?;
+    let mut info = video::probe(&path)?;
+    info.notes.extend(info.other_rate(dataset.info.fps));
     let size = (info.width, info.height);
     let first = first_frame(dataset, episode, (key, *from), (&path, info.frames), warnings)?;
     let fits = match dataset.version {

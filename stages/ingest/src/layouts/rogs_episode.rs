@@ -74,7 +74,7 @@ pub(crate) fn open(root: &Path, calibration: Option<&Calibration>, choice: &Stat
         .cameras
         .into_iter()
         .map(|camera| {
-            let camera = open_camera(root, &path, camera, frames, calibration)?;
+            let camera = open_camera(root, &path, camera, (frames, episode.fps), calibration)?;
             Ok(SourceCamera {
                 times_ms: times_ms.clone(),
                 ..camera
@@ -108,7 +108,7 @@ fn open_camera(
     root: &Path,
     path: &Path,
     camera: EpisodeCamera,
-    frames: u32,
+    (frames, fps): (u32, f64),
     calibration: Option<&Calibration>,
 ) -> StageResult<SourceCamera> {
     let id = &camera.id;
@@ -157,7 +157,7 @@ fn open_camera(
         }
     };
     let images = match &camera.images {
-        Some(images) => Some(FrameSource::open(inside(root, images, path)?, frames, size)?),
+        Some(images) => Some(FrameSource::open(inside(root, images, path)?, (frames, fps), size)?),
         None => None,
     };
     let depth = match &camera.depth {
