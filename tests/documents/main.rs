@@ -1,6 +1,7 @@
 //! What code and pages say of each other: named pages, cited sections, links, and the names in `docs/equations.md` exist.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
+mod keys;
 mod text;
 
 use std::path::Path;

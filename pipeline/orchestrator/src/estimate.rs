@@ -172,7 +172,8 @@ fn weights(plan: &Plan) -> Vec<String> {
                 let InputSource::Source(source) = &found.from else {
                     return None;
                 };
-                Some(format!("{}: {} `{}`", node.label, input.role, source.path.display()))
+                let file = source.path.file_name().unwrap_or_default().to_string_lossy();
+                Some(format!("{}: {} `{file}`", node.label, input.role))
             })
             .collect();
         let unfiled = node.params.get("weights").and_then(serde_json::Value::as_str);

@@ -14,6 +14,9 @@ pub(crate) struct Args {
     /// Folder in which runs will lie; checked for writing, renaming and locking.
     #[arg(long, default_value = ".")]
     folder: PathBuf,
+    /// A manifest that will be run: its weights are looked for, and its size is compared with the free space.
+    #[arg(long, value_name = "FILE")]
+    manifest: Option<PathBuf>,
     /// Print one JSON value.
     #[arg(long)]
     json: bool,
@@ -34,7 +37,18 @@ struct Finding {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    let findings = [version(), processor(), memory(), media(), folder(&args.folder)];
+    let mut findings = vec![
+        version(),
+        processor(),
+        memory(),
+        limits(),
+        gpu(),
+        media(),
+        slurm(),
+        weights(),
+    ];
+    findings.push(folder(&args.folder));
+    findings.extend(args.manifest.as_deref().map(manifest));
     if args.json {
         output::json(&findings)?;
     } else {
@@ -120,6 +134,125 @@ fn memory() -> Finding {
         state: if enough { "ok" } else { "problem" },
         found: format!("{gib:.1} GiB available"),
         hint: (!enough).then(|| "one worker needs about 2 GiB; close other programs or use a larger machine".into()),
+    }
+}
+
+/// What a process may have open, and how much address space; small limits break runs with many workers.
+fn limits() -> Finding {
+    let table = std::fs::read_to_string("/proc/self/limits").unwrap_or_default();
+    let limit = |name: &str| -> Option<String> {
+        let line = table.lines().find_map(|line| line.strip_prefix(name))?;
+        line.split_whitespace().next().map(str::to_owned)
+    };
+    let (files, space) = (limit("Max open files"), limit("Max address space"));
+    let few = files
+        .as_ref()
+        .and_then(|files| files.parse::<u64>().ok())
+        .is_some_and(|files| files < 256);
+    let bounded = space.as_ref().is_some_and(|space| space != "unlimited");
+    let told = |what: Option<String>| what.unwrap_or_else(|| "unknown".to_owned());
+    Finding {
+        name: "limits",
+        state: if few || bounded { "note" } else { "ok" },
+        found: format!("{} open files, address space {}", told(files), told(space)),
+        hint: (few || bounded).then(|| "`ulimit -n 1024` and `ulimit -v unlimited` lift them".to_owned()),
+    }
+}
+
+/// The first line that a program prints, where it is there and ends well.
+fn says(program: &str, arguments: &[&str]) -> Option<String> {
+    let mut command = std::process::Command::new(program);
+    let output = command
+        .args(arguments)
+        .stdin(std::process::Stdio::null())
+        .output()
+        .ok()?;
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let line = text.lines().find(|line| !line.trim().is_empty())?.trim().to_owned();
+    output.status.success().then_some(line)
+}
+
+fn gpu() -> Finding {
+    let built = cfg!(feature = "gpu");
+    let seen = says(
+        "nvidia-smi",
+        &["--query-gpu=name,memory.total,driver_version", "--format=csv,noheader"],
+    );
+    let there = seen.is_some();
+    let found = seen.unwrap_or_else(|| "nvidia-smi shows none".to_owned());
+    Finding {
+        name: "GPU",
+        state: if there && !built { "note" } else { "ok" },
+        found: format!(
+            "{found}; {}",
+            if built {
+                "built with GPU support"
+            } else {
+                "built without GPU support"
+            }
+        ),
+        hint: (there && !built).then(|| "`cargo build --release -p rogs --features gpu` uses it".to_owned()),
+    }
+}
+
+fn slurm() -> Finding {
+    let found = says("sbatch", &["--version"]);
+    Finding {
+        name: "Slurm",
+        state: "ok",
+        found: found
+            .unwrap_or_else(|| "not here: `rogs run`, or `rogs plan --emit jsonl` for other engines".to_owned()),
+        hint: None,
+    }
+}
+
+/// The weights inside the program.
+fn weights() -> Finding {
+    let [height, width] = rogs_lift::BUILTIN_SIZE;
+    let of = |file: &rogs_weights::Bundled| format!("{} {}", file.name, &file.hash()[..12]);
+    Finding {
+        name: "weights",
+        state: "ok",
+        found: format!(
+            "built-in {} (images of {width}x{height}), {}",
+            of(&rogs_lift::BUILTIN),
+            of(&rogs_refine::BUILTIN)
+        ),
+        hint: None,
+    }
+}
+
+/// Whether a manifest can be planned and fits on the disk.
+fn manifest(path: &std::path::Path) -> Finding {
+    let planned = super::run::Machine::default()
+        .prepare(path)
+        .and_then(|prepared| rogs_orchestrator::estimate::estimate(&prepared.plan, &prepared.options));
+    let (state, found, hint) = match planned {
+        Ok(estimate) => {
+            let gibibytes = |bytes: Option<u64>| bytes.map(|bytes| bytes as f64 / f64::from(1 << 30));
+            let (need, free) = (gibibytes(estimate.disk_bytes), gibibytes(estimate.free_bytes));
+            let told = |size: Option<f64>| size.map_or_else(|| "?".to_owned(), |size| format!("{size:.1}"));
+            let short = need.zip(free).is_some_and(|(need, free)| need > free);
+            (
+                if short { "problem" } else { "ok" },
+                format!(
+                    "`{}`: {} clips; about {} GiB to write, {} GiB free; {}",
+                    path.display(),
+                    estimate.clips,
+                    told(need),
+                    told(free),
+                    estimate.weights.join("; ")
+                ),
+                short.then(|| "name another `out` under [run], on a larger disk".to_owned()),
+            )
+        }
+        Err(error) => ("problem", error.to_string(), error.hint()),
+    };
+    Finding {
+        name: "manifest",
+        state,
+        found,
+        hint,
     }
 }
 

@@ -86,11 +86,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         Err(error) => return Err(only_references(&folder).unwrap_or_else(|| stage_error(error))),
     };
     count_frames(&folder, &mut episodes);
-    let name = safe_name(
-        &folder
-            .file_name()
-            .map_or_else(|| "run".into(), |name| name.to_string_lossy()),
-    );
+    let name = run_name(&folder);
     let manifest = args
         .out
         .clone()
@@ -101,7 +97,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     }
     let place = std::path::absolute(&manifest)?;
     let Some(place) = place.parent() else {
-        bail!("`{}` is no file", manifest.display());
+        bail!("invalid manifest `{}`: expected a file", manifest.display());
     };
     let first = episodes.first().context("there is no episode")?;
     let mut outline = outline(&folder, first).map_err(stage_error)?;
@@ -220,6 +216,14 @@ fn as_written(path: &Path, place: &Path) -> String {
         Some(beside) => format!("../{}", text(beside)),
         None => text(&path),
     }
+}
+
+/// A name for the run: that of the folder, or of the one above where the folder is called as any other.
+fn run_name(folder: &Path) -> String {
+    let usual = ["episodes", "data", "dataset", "recordings"];
+    let mut names = folder.ancestors().filter_map(|above| above.file_name()?.to_str());
+    let name = names.find(|name| !usual.contains(name)).unwrap_or("run");
+    safe_name(name)
 }
 
 /// Whether an episode comes with the poses of its cameras; one that cannot be read says so when it is run.
