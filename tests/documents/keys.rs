@@ -1,5 +1,7 @@
 //! Keys of manifests that texts name: each is one that the manifest reader accepts.
 
+use std::path::Path;
+
 use serde_json::Value;
 
 use super::assert_none;
@@ -62,7 +64,14 @@ fn named(file: &File) -> Vec<(usize, Vec<String>)> {
                 continue;
             };
             let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || matches!(c, '.' | '-' | '_');
-            if name.is_empty() || !name.chars().all(plain) || !name.starts_with(|c: char| c.is_ascii_lowercase()) {
+            // Places in arrays and links to pages have brackets too.
+            let index = line[..at].ends_with(|c: char| c.is_alphanumeric() || matches!(c, '_' | ')'));
+            let begins = name.starts_with(|c: char| c.is_ascii_lowercase());
+            if index
+                || !begins
+                || !name.chars().all(plain)
+                || Path::new(name).extension().is_some_and(|end| end == "md")
+            {
                 continue;
             }
             let table: Vec<String> = name.split('.').map(str::to_owned).collect();
