@@ -365,5 +365,5 @@ fn citations_are_read_as_people_write_them() {
     assert_eq!(anchors, ["55-rogsx-the-y", "t", "t-1"]);
     let wide = format!("{}\nshort line that goes on\n", "word ".repeat(30));
     assert_eq!(wide_lines(&wide), [1]);
-    assert_eq!(wide_lines(&format!("{}.\n", "word ".repeat(30))), []);
+    assert!(wide_lines(&format!("{}.\n", "word ".repeat(30))).is_empty());
 }
