@@ -26,7 +26,7 @@ const RUNS: [&str; 11] = [
     "rogs-gc",
     "rogs-inspect",
 ];
-const PICTURES: [&str; 3] = ["rogs-render", "rogs-query", "rogs-metrics"];
+const PICTURES: [&str; 4] = ["rogs-render", "rogs-query", "rogs-metrics", "rogs-export-field"];
 const DATA: [&str; 5] = ["rogs-fk", "rogs-cohort", "rogs-synth", "rogs-init", "rogs-list"];
 const WEIGHTS: [&str; 7] = [
     "rogs-weights-list",
@@ -194,6 +194,18 @@ fn commands_that_draw_and_compare_pictures() {
     // The built-in weights need no file.
     let query = [&["query", &field, "--time", "0.37"], &view[..]].concat();
     assert_eq!(length(&asking.ask(0, &query)), 1);
+    let export = [
+        "export",
+        "field",
+        &field,
+        "--times",
+        "0",
+        "--format",
+        "ply-compressed",
+        "--out",
+        "field.ply",
+    ];
+    assert_eq!(asking.ask(0, &export)["times"], json!([0.0]));
     let images = format!("data/episodes/{clip}/wrist");
     assert_eq!(length(&asking.ask(0, &["metrics", &images, &images])["pairs"]), 17);
     asking.asked(&PICTURES);

@@ -94,6 +94,7 @@ fn dependencies_point_one_way() {
             "rogs-robot" => &["rogs-schemas", "rogs-geometry", "rogs-robot-files"],
             "rogs-splat" => &["rogs-schemas", "rogs-geometry"],
             "rogs-field" => &["rogs-schemas", "rogs-geometry", "rogs-splat"],
+            "rogs-video" => &["rogs-arrays"],
             "rogs-tensors" => &["rogs-schemas", "rogs-kernels", "rogs-weights", "rogs-splat"],
             "rogs-stage1" => &[
                 "rogs-schemas",
@@ -139,6 +140,8 @@ fn dependencies_point_one_way() {
                 "rogs-lpips",
                 "rogs-stereo",
                 "rogs-agreement",
+                "rogs-video",
+                "rogs-export",
                 "rogs-worker",
             ],
         }

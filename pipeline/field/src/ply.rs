@@ -16,6 +16,7 @@ use rogs_splat::{Colour, Gaussians, sh};
 use crate::attributes::sigmoid;
 use crate::error::{Error, Result};
 use crate::ply_header::{Header, Kind, Property, wrong};
+use crate::ply_packed;
 use crate::timed::TimedField;
 
 /// Opacities are written as logits of values at least this far from 0 and 1, which f32 can tell apart.
@@ -50,11 +51,14 @@ pub fn read_ply_file(path: &Path) -> Result<PlyScene> {
     read_ply(&bytes)
 }
 
-/// Reads a PLY file that lies in memory.
+/// Reads a PLY file that lies in memory, plain or compressed.
 ///
 /// # Errors
 /// When it is no 3DGS PLY, or is shorter than its header says.
 pub fn read_ply(bytes: &[u8]) -> Result<PlyScene> {
+    if ply_packed::is_packed(bytes) {
+        return ply_packed::read(bytes);
+    }
     let header = Header::parse(bytes)?;
     let n = header.vertices;
     let body = &bytes[header.length..];
@@ -215,12 +219,11 @@ pub enum Axes {
     Base,
 }
 
-/// Writes a field at a stored time: metres, in the frame asked for, which a comment of the file names; one row per Gaussian
-/// in the field's order. The file appears under its name only when it is complete.
+/// The Gaussians of a field at a stored time in a frame, internal units, and the comments that a PLY file has on them.
 ///
 /// # Errors
-/// When the time is not stored or the file cannot be written.
-pub fn export_field(field: &TimedField<'_>, time: f64, axes: Axes, path: &Path) -> Result<()> {
+/// When the time is not stored.
+pub fn gaussians_in(field: &TimedField<'_>, time: f64, axes: Axes) -> Result<(Gaussians, [String; 2])> {
     let mut gaussians = field.gaussians(time)?;
     let frame = match axes {
         Axes::Recon => "recon_opencv",
@@ -230,7 +233,16 @@ pub fn export_field(field: &TimedField<'_>, time: f64, axes: Axes, path: &Path) 
             "base"
         }
     };
-    let comments = [format!("frame {frame} unit m"), format!("time {time}")];
+    Ok((gaussians, [format!("frame {frame} unit m"), format!("time {time}")]))
+}
+
+/// Writes a field at a stored time: metres, in the frame asked for, which a comment of the file names; one row per Gaussian
+/// in the field's order. The file appears under its name only when it is complete.
+///
+/// # Errors
+/// When the time is not stored or the file cannot be written.
+pub fn export_field(field: &TimedField<'_>, time: f64, axes: Axes, path: &Path) -> Result<()> {
+    let (gaussians, comments) = gaussians_in(field, time, axes)?;
     rogs_files::try_write_with(path, |file| {
         write_ply(&gaussians, LengthUnit::Internal, &comments, file, path)
     })

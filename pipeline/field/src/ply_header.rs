@@ -7,13 +7,9 @@ use rogs_splat::gaussians::MAX_GAUSSIANS;
 use crate::error::{Error, Result};
 
 /// Longest header that is read.
-const MAX_HEADER: usize = 1 << 16;
+pub(crate) const MAX_HEADER: usize = 1 << 16;
 /// Most properties of the vertex element.
 const MAX_PROPERTIES: usize = 1024;
-
-/// What is said of the packed form.
-const COMPRESSED: &str = "it is a compressed PLY (SuperSplat, splat-transform), which is not read; export it as plain PLY, \
-                          e.g. `splat-transform in.compressed.ply out.ply`";
 
 /// A number of each vertex.
 #[derive(Debug, Clone, Copy)]
@@ -121,9 +117,6 @@ impl Header {
                     let count = count
                         .filter(|&c| c <= MAX_GAUSSIANS)
                         .ok_or_else(|| problem("not a usable count"))?;
-                    if name == Some("chunk") {
-                        return Err(problem(COMPRESSED));
-                    }
                     let vertices = name == Some("vertex");
                     if vertices && seen_vertices {
                         return Err(problem("a second vertex element"));
@@ -148,9 +141,6 @@ impl Header {
                     };
                     if vertices {
                         let name = words.next().ok_or_else(|| problem("a property without a name"))?;
-                        if name.starts_with("packed_") {
-                            return Err(problem(COMPRESSED));
-                        }
                         let place = Property {
                             offset: header.stride,
                             kind: Kind::of(kind),

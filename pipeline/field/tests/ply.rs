@@ -231,8 +231,8 @@ fn forms_that_are_not_read_are_named_with_a_way_on() {
         .chain([("float", "red"), ("float", "green"), ("float", "blue")])
         .collect::<Vec<_>>();
     for (file, words) in [
-        (foreign(&packed, &[0; 8]), "compressed PLY (SuperSplat"),
-        (chunk, "splat-transform"),
+        (foreign(&packed, &[0; 8]), "element `chunk`"),
+        (chunk, "promises more"),
         (foreign(&shape, &[0; 44]), "`f_dc_0` is missing"),
         (foreign(&wide, &[0; 56]), "sh_coeffs"),
         (

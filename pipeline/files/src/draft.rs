@@ -72,6 +72,24 @@ impl Draft {
         file.finish()
     }
 
+    /// Where a file of the draft lies until it is published, for other programs that write it.
+    #[must_use]
+    pub fn path_of(&self, name: impl AsRef<Path>) -> PathBuf {
+        self.temporary.join(name)
+    }
+
+    /// Flushes one file of the draft and gives it the name that the folder was to have, in place of a file that has it; the
+    /// rest is removed.
+    ///
+    /// # Errors
+    /// When there is no such file, or the operating system refuses; nothing is in its place then that was not before.
+    pub fn publish_file(self, name: impl AsRef<Path>) -> Result<()> {
+        let path = self.path_of(name);
+        let flush = || or_missing(File::open(&path)?.sync_all());
+        flush().map_err(io("flushing", &path))?;
+        rename(&path, &self.place)
+    }
+
     /// Flushes the folders and renames the draft to its place.
     ///
     /// # Errors

@@ -23,6 +23,12 @@ pub enum Error {
         /// Clip frame.
         frame: FrameIndex,
     },
+    /// Cameras that make no path, or a camera that cannot look as it is asked to.
+    #[error("invalid camera: {what}")]
+    Path {
+        /// Why.
+        what: String,
+    },
     /// A frame that the robot maps have no link poses of.
     #[error("the robot maps have no link poses for frame {frame}")]
     MissingLinkPoses {

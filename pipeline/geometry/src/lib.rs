@@ -18,6 +18,7 @@
 //! ```
 
 mod actions;
+mod camera_path;
 mod error;
 mod links;
 mod pinhole;
@@ -28,6 +29,7 @@ mod scale;
 mod similarity;
 
 pub use actions::{Action, actions, follow, tool_pose};
+pub use camera_path::CameraPath;
 pub use error::{Error, Result};
 pub use links::{LinkMotions, LinkPoses};
 pub use pinhole::{Pinhole, pixel_centre};

@@ -5,6 +5,7 @@
 
 mod axis;
 mod bars;
+pub mod colours;
 mod plot;
 
 use base64::Engine as _;

@@ -370,7 +370,13 @@ fn requests_that_make_no_sense_are_refused_with_a_reason() {
         "{}",
         field(&["--npz", "--since", "0.3"])
     );
-    assert!(field(&["--time", "0.3"]).contains("rogs query"));
+    assert!(field(&["--time", "0.3"]).contains("stored times"));
+    assert!(field(&["--time", "1.5"]).contains("outside the clip"));
+    assert!(
+        workspace
+            .bad(&["field.r4c", "--camera", "camera.json"])
+            .contains("--out DIR")
+    );
     assert!(field(&["--device", "tpu"]).contains("`cpu` or `gpu`"));
     workspace.good(&[["field.r4c", "--ply"].as_slice(), &common].concat());
     let ply = |extra: &[&str]| workspace.bad(&[&["out/field.ply"], common.as_slice(), extra].concat());
@@ -432,4 +438,153 @@ fn nothing_is_written_before_every_camera_and_option_is_understood() {
         workspace.bad(&[&["field.r4c", "--out", "out", "--ply", "--npz"], camera, &extra].concat());
         assert!(!workspace.path("out").exists(), "{extra:?}: something was written");
     }
+}
+
+/// A folder of PNG images, by their names.
+fn images(folder: &Path) -> Vec<PathBuf> {
+    let mut paths: Vec<PathBuf> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    paths.sort();
+    paths
+}
+
+#[test]
+fn a_film_of_images_holds_the_pictures_of_its_times() {
+    let workspace = Workspace::new();
+    let common = ["field.r4c", "--camera", "camera.json", "--video"];
+    let made = workspace.good(&[common.as_slice(), &["frames", "--json"]].concat());
+    let made: Value = serde_json::from_str(&made).unwrap();
+    assert_eq!((&made["frames"], &made["width"]), (&3.into(), &32.into()));
+    assert_eq!(made["times"], serde_json::json!([0.0, 0.5, 1.0]));
+    let frames = images(&workspace.path("frames"));
+    assert_eq!(frames.len(), 3);
+    for (frame, time) in frames.iter().zip(["0", "0.5", "1"]) {
+        workspace.good(&["field.r4c", "--camera", "camera.json", "--time", time, "--out", "still"]);
+        let still = std::fs::read(workspace.path("still/front.png")).unwrap();
+        assert!(std::fs::read(frame).unwrap() == still, "the frame of time {time}");
+    }
+    // Depth stands beside; a time is held where there are more frames than times.
+    let wide = [
+        common.as_slice(),
+        &["wide", "--beside", "depth", "--times", "0,1", "--frames", "4"],
+    ]
+    .concat();
+    workspace.good(&wide);
+    let wide: Vec<image::RgbImage> = (images(&workspace.path("wide")).iter())
+        .map(|path| image::open(path).unwrap().to_rgb8())
+        .collect();
+    assert_eq!((wide.len(), wide[0].dimensions()), (4, (64, 24)));
+    assert!(wide[0] == wide[1] && wide[1] != wide[2] && wide[2] == wide[3]);
+}
+
+#[test]
+fn a_path_moves_the_camera_and_a_size_changes_the_picture() {
+    let workspace = Workspace::new();
+    let near = std::fs::read_to_string(workspace.path("camera.json")).unwrap();
+    let far = near.replace("[1,0,0,0]", "[1,0,0,0.1]");
+    workspace.write("path.json", &format!("[{near}, {far}]"));
+    let path = ["field.r4c", "--camera", "path.json", "--time", "0", "--video"];
+    workspace.good(&[path.as_slice(), &["moved", "--frames", "3"]].concat());
+    let moved = images(&workspace.path("moved"));
+    assert_eq!(moved.len(), 3);
+    workspace.good(&["field.r4c", "--camera", "camera.json", "--time", "0", "--out", "still"]);
+    let read = |path: &Path| std::fs::read(path).unwrap();
+    assert!(read(&moved[0]) == read(&workspace.path("still/front.png")));
+    assert!(read(&moved[1]) != read(&moved[0]) && read(&moved[2]) != read(&moved[1]));
+
+    // From the side of the base frame: the wall stands half a metre before its origin, turned.
+    let lookat = [
+        "field.r4c",
+        "--camera",
+        "lookat:-0.5,0,0.25,0.5,0,0.25",
+        "--out",
+        "seen",
+        "--size",
+        "64x40",
+    ];
+    workspace.good(&lookat);
+    let seen = image::open(workspace.path("seen/lookat.png")).unwrap().to_rgb8();
+    assert_eq!(seen.dimensions(), (64, 40));
+    assert!(
+        seen.get_pixel(32, 20).0.iter().any(|&value| value > 60),
+        "the wall is seen"
+    );
+}
+
+#[test]
+fn films_that_make_no_sense_are_refused_and_leave_nothing() {
+    let workspace = Workspace::new();
+    let one = std::fs::read_to_string(workspace.path("camera.json")).unwrap();
+    workspace.write("one.json", &format!("[{one}]"));
+    workspace.write(
+        "viewer.json",
+        r#"{"camera_type": "perspective", "render_height": 24, "render_width": 32,
+        "camera_path": [{"camera_to_world": [1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1], "fov": 50}]}"#,
+    );
+    let before = images(workspace.0.path());
+    for (arguments, said) in [
+        (
+            ["--camera", "camera.json", "--video", "a.mov"].as_slice(),
+            ".mp4, .webm or .gif",
+        ),
+        (&["--camera", "one.json", "--video", "a"], "two poses or more"),
+        (&["--camera", "viewer.json", "--video", "a"], "two poses or more"),
+        (&["--camera", "viewer.json", "--out", "a"], "add `--video FILE`"),
+        (&["--camera", "orbit", "--video", "a"], "clip.r4c"),
+        (
+            &["--camera", "camera.json", "--video", "a", "--times", "0,1.5"],
+            "outside the clip",
+        ),
+        (
+            &["--camera", "camera.json", "--video", "a", "--times", "half"],
+            "invalid times",
+        ),
+        (
+            &["--camera", "camera.json", "--video", "a", "--fps", "0"],
+            "invalid rate",
+        ),
+        (
+            &["--camera", "camera.json", "--video", "a", "--frames", "0"],
+            "frames 0",
+        ),
+        (
+            &["--camera", "camera.json", "--video", "a", "--beside", "error"],
+            "a camera of the clip",
+        ),
+        (
+            &["--camera", "camera.json", "--video", "a", "--out", "b"],
+            "`--video` makes a film alone",
+        ),
+        (&["--camera", "camera.json", "--out", "b", "--times", "all"], "--video"),
+        (&["--camera", "lookat:1,2", "--video", "a"], "six numbers"),
+    ] {
+        let error = workspace.bad(&[["field.r4c"].as_slice(), arguments].concat());
+        assert!(error.contains(said), "{arguments:?}: {error}");
+        assert_eq!(images(workspace.0.path()), before, "{arguments:?}");
+    }
+    let error = workspace.bad(&["camera.json", "--camera", "camera.json", "--video", "a"]);
+    assert!(error.contains("camera.json"), "a file that is no field: {error}");
+    assert_eq!(images(workspace.0.path()), before);
+}
+
+/// Without the program there are images, and what to do is said.
+#[test]
+fn without_ffmpeg_a_film_is_a_folder_of_images() {
+    let workspace = Workspace::new();
+    let output = Command::new(env!("CARGO_BIN_EXE_rogs"))
+        .args(["render", "field.r4c", "--camera", "camera.json", "--video", "out.mp4"])
+        .env("PATH", workspace.0.path())
+        .current_dir(workspace.0.path())
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    assert!(
+        said.contains("install ffmpeg") && said.contains("ffmpeg -framerate 10"),
+        "{said}"
+    );
+    assert_eq!(images(&workspace.path("out-frames")).len(), 3);
+    assert!(!workspace.path("out.mp4").exists());
 }

@@ -107,6 +107,37 @@ impl Gaussians {
     }
 }
 
+impl Gaussians {
+    /// The Gaussians whose flag is set, in their order. `keep [N]`; one that has no flag is left out.
+    #[must_use]
+    pub fn kept(&self, keep: &[bool]) -> Self {
+        let pick = |values: &[f32], per: usize| -> Vec<f32> {
+            let rows = values.chunks_exact(per.max(1)).zip(keep);
+            rows.filter(|(_, keep)| **keep)
+                .flat_map(|(row, _)| row)
+                .copied()
+                .collect()
+        };
+        let per = self.colour.values_per_gaussian();
+        let colour = match &self.colour {
+            Colour::Rgb(rgb) => Colour::Rgb(pick(rgb, per)),
+            Colour::Sh { degree, coefficients } => Colour::Sh {
+                degree: *degree,
+                coefficients: pick(coefficients, per),
+            },
+        };
+        Self {
+            means: pick(&self.means, 3),
+            quats: pick(&self.quats, 4),
+            scales: pick(&self.scales, 3),
+            opacities: pick(&self.opacities, 1),
+            colour,
+            extra: pick(&self.extra, self.extra_channels),
+            extra_channels: self.extra_channels,
+        }
+    }
+}
+
 impl Colour {
     /// The values, whatever they mean.
     #[must_use]
@@ -126,5 +157,34 @@ impl Colour {
             Self::Rgb(_) => 3,
             Self::Sh { degree, .. } => 3 * sh::coefficient_count(*degree),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_kept_keeps_its_order_and_all_its_values() {
+        let count = |per: usize| (0..3 * per).map(|k| k as f32).collect::<Vec<f32>>();
+        let scene = Gaussians {
+            means: count(3),
+            quats: count(4),
+            scales: count(3),
+            opacities: count(1),
+            colour: Colour::Sh {
+                degree: 1,
+                coefficients: count(12),
+            },
+            extra: count(2),
+            extra_channels: 2,
+        };
+        let kept = scene.kept(&[true, false, true]);
+        kept.validate().unwrap();
+        assert_eq!(kept.means, [0.0, 1.0, 2.0, 6.0, 7.0, 8.0]);
+        assert_eq!(kept.extra, [0.0, 1.0, 4.0, 5.0]);
+        assert_eq!(kept.colour.values()[12..], scene.colour.values()[24..]);
+        assert_eq!(scene.kept(&[true; 3]), scene);
+        assert!(scene.kept(&[]).is_empty());
     }
 }

@@ -1,7 +1,6 @@
 //! What a video says about itself, and, for `rogs doctor`, what can be decoded on this machine.
 
-use std::process::{Command, Stdio};
-
+use rogs_video::program::{FFMPEG, FFPROBE, printed};
 use serde::Serialize;
 
 /// What a video file says about its first video stream.
@@ -58,9 +57,9 @@ pub struct MediaReport {
 /// Looks for the video programs. Episodes with PNG images need none of them.
 #[must_use]
 pub fn media_report() -> MediaReport {
-    let first_line = |program: &str| Some(output(program, &["-version"])?.lines().next()?.to_owned());
-    let (ffmpeg, ffprobe) = (first_line("ffmpeg"), first_line("ffprobe"));
-    let decoders = output("ffmpeg", &["-hide_banner", "-decoders"]).unwrap_or_default();
+    let first_line = |program: &str| Some(printed(program, &["-version"])?.lines().next()?.to_owned());
+    let (ffmpeg, ffprobe) = (first_line(FFMPEG), first_line(FFPROBE));
+    let decoders = printed(FFMPEG, &["-hide_banner", "-decoders"]).unwrap_or_default();
     // Lines such as ` V....D libdav1d             dav1d AV1 decoder by VideoLAN (codec av1)`.
     let decodes = |codec: &str| {
         let named = format!("(codec {codec})");
@@ -71,7 +70,7 @@ pub fn media_report() -> MediaReport {
     };
     let (h264, hevc, av1) = (decodes("h264"), decodes("hevc"), decodes("av1"));
     let mut problems = Vec::new();
-    for (program, found) in [("ffmpeg", &ffmpeg), ("ffprobe", &ffprobe)] {
+    for (program, found) in [(FFMPEG, &ffmpeg), (FFPROBE, &ffprobe)] {
         if found.is_none() {
             problems.push(format!(
                 "`{program}` is not on the PATH: episodes with videos cannot be read; install ffmpeg"
@@ -93,17 +92,4 @@ pub fn media_report() -> MediaReport {
         av1,
         problems,
     }
-}
-
-fn output(program: &str, arguments: &[&str]) -> Option<String> {
-    let output = Command::new(program)
-        .args(arguments)
-        .stdin(Stdio::null())
-        .stderr(Stdio::null())
-        .output()
-        .ok()?;
-    output
-        .status
-        .success()
-        .then(|| String::from_utf8_lossy(&output.stdout).into_owned())
 }

@@ -7,9 +7,11 @@
 use std::io::Read as _;
 use std::path::Path;
 #[cfg(any(not(feature = "libav"), test))]
-use std::process::Child;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
+#[cfg(any(not(feature = "libav"), test))]
+use rogs_video::program::{FFMPEG, Running, heard, listen};
+use rogs_video::program::{FFPROBE, INSTALL, command, last_line, url};
 use rogs_worker::{StageError, StageResult};
 use serde::Deserialize;
 
@@ -63,21 +65,14 @@ struct SideData {
 pub(crate) fn probe(path: &Path) -> StageResult<VideoInfo> {
     // Not a pipe, nor a device.
     rogs_files::open(path).map_err(|error| io_error(path, &error))?;
-    let mut command = Command::new("ffprobe");
-    command.args([
-        "-v",
-        "error",
-        "-protocol_whitelist",
-        "file",
-        "-format_whitelist",
-        FORMATS,
-    ]);
+    let mut command = command(FFPROBE);
+    command.args(["-protocol_whitelist", "file", "-format_whitelist", FORMATS]);
     command.args(["-select_streams", "v:0", "-of", "json", "-show_entries"]);
     command.arg(
         "stream=codec_name,width,height,nb_frames,avg_frame_rate,sample_aspect_ratio:stream_side_data=rotation:packet=pts_time,flags",
     );
-    command.arg(url(path)).stdin(Stdio::null());
-    let output = command.output().map_err(|error| no_program("ffprobe", &error))?;
+    command.arg(url(path));
+    let output = command.output().map_err(|error| no_program(FFPROBE, &error))?;
     let problem = last_line(&output.stderr);
     if !output.status.success() {
         return Err(wrong(path, format!("ffprobe cannot read the video: {problem}")));
@@ -256,8 +251,8 @@ fn decode_by_program(
     (first, step, count): (u64, u64, u64),
     mut take: impl FnMut(u64, &[u8]) -> StageResult<()>,
 ) -> StageResult<Option<String>> {
-    let mut command = Command::new("ffmpeg");
-    command.args(["-v", "error", "-nostdin", "-xerror"]);
+    let mut command = command(FFMPEG);
+    command.args(["-nostdin", "-xerror"]);
     if info.quarter_turns == 0 {
         command.arg("-noautorotate");
     }
@@ -267,22 +262,12 @@ fn decode_by_program(
     command.args(["-fps_mode", "passthrough", "-frames:v", &count.to_string()]);
     command.args(["-sws_flags", "bilinear+accurate_rnd+full_chroma_int+bitexact"]);
     command.args(["-pix_fmt", "rgb24", "-f", "rawvideo", "pipe:1"]);
-    command
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped());
-    let mut child = Running(command.spawn().map_err(|error| no_program("ffmpeg", &error))?);
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = Running(command.spawn().map_err(|error| no_program(FFMPEG, &error))?);
     let (Some(mut frames), Some(complaints)) = (child.0.stdout.take(), child.0.stderr.take()) else {
         return Err(StageError::internal("ffmpeg was started without pipes"));
     };
-    // Its own thread, so that a talkative decoder does not block; only the beginning is kept.
-    let complaints = std::thread::spawn(move || {
-        let mut text = Vec::new();
-        let mut complaints = complaints;
-        let kept = std::io::Read::by_ref(&mut complaints).take(4096).read_to_end(&mut text);
-        let drained = std::io::copy(&mut complaints, &mut std::io::sink());
-        kept.and(drained).map(|_| text)
-    });
+    let complaints = listen(complaints);
     let mut frame = vec![0; info.width as usize * info.height as usize * 3];
     let mut decoded = 0;
     let mut failure = None;
@@ -298,8 +283,8 @@ fn decode_by_program(
     }
     let surplus = failure.is_none() && frames.read(&mut [0; 1]).is_ok_and(|bytes| bytes > 0);
     drop(frames);
-    let status = child.0.wait().map_err(|error| no_program("ffmpeg", &error))?;
-    let complaints = complaints.join().ok().and_then(Result::ok).unwrap_or_default();
+    let status = child.0.wait().map_err(|error| no_program(FFMPEG, &error))?;
+    let complaints = heard(complaints);
     let problem = last_line(&complaints);
     if failure.is_some() || surplus || !status.success() {
         let at = first + decoded * step;
@@ -312,45 +297,14 @@ fn decode_by_program(
     Ok((!complaints.is_empty()).then_some(problem))
 }
 
-/// A child that does not outlive its owner.
-#[cfg(any(not(feature = "libav"), test))]
-struct Running(Child);
-
-#[cfg(any(not(feature = "libav"), test))]
-impl Drop for Running {
-    fn drop(&mut self) {
-        // Both fail only when it has ended already.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-/// The path as the programs must see it: never an option, never another protocol.
-fn url(path: &Path) -> std::ffi::OsString {
-    let mut url = std::ffi::OsString::from("file:");
-    url.push(path);
-    url
-}
-
 fn rate(text: &str) -> Option<f64> {
     let (over, under) = text.split_once('/')?;
     let value = over.parse::<f64>().ok()? / under.parse::<f64>().ok()?;
     (value.is_finite() && value > 0.0).then_some(value)
 }
 
-fn last_line(bytes: &[u8]) -> String {
-    let text = String::from_utf8_lossy(bytes);
-    let line = text
-        .lines()
-        .rev()
-        .find(|line| !line.trim().is_empty())
-        .unwrap_or("it gave no reason");
-    line.trim().chars().take(300).collect()
-}
-
 fn no_program(name: &str, error: &std::io::Error) -> StageError {
-    StageError::bad_input(format!("the program `{name}` cannot be run: {error}"))
-        .with_hint("install ffmpeg (it brings ffprobe) and see that it is on the PATH; `rogs doctor` checks it")
+    StageError::bad_input(format!("the program `{name}` cannot be run: {error}")).with_hint(INSTALL)
 }
 
 #[cfg(test)]
@@ -452,10 +406,5 @@ mod tests {
         assert_eq!(rate("30000/1001"), Some(30000.0 / 1001.0));
         assert_eq!(rate("0/0"), None);
         assert_eq!(rate("x"), None);
-    }
-
-    #[test]
-    fn a_path_is_never_an_option() {
-        assert_eq!(url(Path::new("-i")), "file:-i");
     }
 }

@@ -1,4 +1,4 @@
-//! `rogs export`: what other programs take from a run.
+//! `rogs export`: what other programs take from a run. `export_field` has what they take from a field.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -19,7 +19,7 @@ use serde::Serialize;
 
 use crate::output;
 
-/// Writes what other programs take from a run.
+/// Writes what other programs take from a run or a field.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -28,6 +28,7 @@ pub(crate) struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
+    Field(super::export_field::Args),
     RolloutInputs(RolloutInputs),
 }
 
@@ -83,7 +84,13 @@ const CONVENTION: &str = "row i: translation (m) and the first two columns of th
                           link's pose in the base right-multiplied by Rz(+90 degrees); then 1 - gripper at the end of the step";
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    let What::RolloutInputs(args) = &args.what;
+    match &args.what {
+        What::Field(args) => super::export_field::run(args),
+        What::RolloutInputs(args) => rollout_inputs(args),
+    }
+}
+
+fn rollout_inputs(args: &RolloutInputs) -> anyhow::Result<ExitCode> {
     let plan = read_plan(&args.run)?;
     let clips: Vec<usize> = if args.clip.is_empty() {
         (0..plan.clips.len()).collect()

@@ -1,57 +1,55 @@
-//! `rogs render`: a field at a time, or a 3DGS PLY, seen from any camera.
+//! `rogs render`: a field at a time or over time, or a 3DGS PLY, seen from any camera.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context as _, bail, ensure};
 use rogs_arrays::{NamedArray, write_exr, write_npz, write_png};
-use rogs_field::{Axes, TimedField, export_field};
-use rogs_geometry::{Base, Camera, Pinhole, Pose, PosedCamera, Recon};
-use rogs_r4c::read_record;
-use rogs_schemas::ids::check_name;
-use rogs_schemas::records::field::Field;
-use rogs_schemas::records::refinement::Refinement;
+use rogs_field::{Axes, export_field};
+use rogs_geometry::{PosedCamera, Recon};
 use rogs_schemas::units::LengthUnit;
-use rogs_schemas::{Device, Intrinsics, WrittenPose};
+use rogs_schemas::{Device, Intrinsics};
 use rogs_splat::{Gaussians, RasterCamera, RasterConfig, RasterDevice, Render};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
+use super::film::{self, FilmArgs, Shooting};
+use super::network::BesideArgs;
+use super::scene::{FieldFile, Scene, bytes_of, read_ply};
+use super::viewpoint::{CAMERA_HELP, Place, Scenery, Shot, Viewpoint};
 use crate::output;
 
-/// Renders a field at a stored time, or any 3DGS PLY, to PNG, EXR and npz; writes a field as PLY.
+/// Renders a field at any time, or any 3DGS PLY, to PNG, EXR, npz and films; writes a field as PLY.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// A field (`field-1.r4c`) or a PLY file.
     scene: PathBuf,
-    /// Normalised time in 0..1; the nearest stored time must be within 1e-6 (`rogs query` answers others). Default: the
-    /// first stored time.
+    /// Normalised time in 0..1; stored times within 1e-6 are taken as they are, others are answered by the network that the
+    /// field was lifted with. Default: the first stored time.
     #[arg(long)]
     time: Option<f64>,
     /// Correction of Stage 2 to apply (`field-2.r4c`).
     #[arg(long, value_name = "FILE")]
     refinement: Option<PathBuf>,
     #[command(flatten)]
+    film: FilmArgs,
+    #[command(flatten)]
+    beside: BesideArgs,
+    #[command(flatten)]
     view: ViewArgs,
 }
-
-const CAMERA_HELP: &str = "Camera file: JSON, one camera or a list of them, for example
-
-{\"name\": \"view\", \"width\": 280, \"height\": 154,
- \"intrinsics\": {\"fx\": 116, \"fy\": 116, \"cx\": 140, \"cy\": 77},
- \"base_from_camera\": [[1,0,0,0.5], [0,1,0,0], [0,0,1,0.4], [0,0,0,1]]}
-
-Pixel centres at + 0.5; camera axes OpenCV; metres. Use `recon_from_camera` for a pose in the reconstruction frame; for a \
-PLY both mean its world.";
 
 /// From where, and what is written.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ViewArgs {
-    /// Camera file: JSON, one camera or a list of them.
-    #[arg(long, value_name = "JSON", long_help = CAMERA_HELP)]
-    camera: PathBuf,
+    /// A camera of the clip (`ext1`), `orbit`, `lookat:X,Y,Z,X,Y,Z`, or a JSON file of cameras or a camera path.
+    #[arg(long, value_name = "CAMERA", long_help = CAMERA_HELP)]
+    camera: Viewpoint,
     /// Folder for the pictures; made when missing.
     #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    out: Option<PathBuf>,
+    /// Size of the pictures, e.g. 640x352. Default: that of the camera.
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
+    size: Option<(u32, u32)>,
     /// Also write expected depth (camera z, metres; 0 where nothing is) as NAME.depth.exr.
     #[arg(long)]
     depth: bool,
@@ -87,30 +85,6 @@ enum AxesArg {
     Base,
 }
 
-/// A camera file.
-#[derive(Debug, Deserialize)]
-#[serde(untagged)]
-enum CameraFile {
-    Many(Vec<CameraSpec>),
-    One(Box<CameraSpec>),
-}
-
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct CameraSpec {
-    #[serde(default = "default_name")]
-    name: String,
-    width: u32,
-    height: u32,
-    intrinsics: Intrinsics,
-    base_from_camera: Option<WrittenPose>,
-    recon_from_camera: Option<WrittenPose>,
-}
-
-fn default_name() -> String {
-    "view".to_owned()
-}
-
 /// What was rendered.
 #[derive(Debug, Serialize)]
 struct Rendered {
@@ -122,99 +96,223 @@ struct Rendered {
     invalid: usize,
 }
 
-/// A scene ready to render, with what a base pose means in it.
-struct Scene {
+/// A size of pictures.
+fn size(text: &str) -> Result<(u32, u32), String> {
+    let sides = text
+        .split_once('x')
+        .and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
+    sides
+        .filter(|&(width, height): &(u32, u32)| (1..=16_384).contains(&width) && (1..=16_384).contains(&height))
+        .ok_or_else(|| format!("invalid size `{text}`: expected e.g. 640x352"))
+}
+
+/// A scene at a time, ready to render.
+struct Moment {
     /// A field's have their displacement in metres as extra channels where it is asked for.
     gaussians: Gaussians,
     time: Option<f64>,
     /// Of the Gaussians' lengths.
     unit: LengthUnit,
-    recon_from_base: Pose<Recon, Base>,
 }
 
 /// Writes a scene to a file.
-type WritePly<'a> = dyn Fn(&Path) -> anyhow::Result<()> + 'a;
+type WritePly<'a> = dyn FnMut(&Path) -> anyhow::Result<()> + 'a;
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    if args
-        .scene
-        .extension()
-        .is_some_and(|extension| extension.eq_ignore_ascii_case("ply"))
-    {
-        ensure!(args.refinement.is_none(), "a PLY file takes no refinement");
-        ensure!(args.time.is_none(), "a PLY file holds one time; leave `--time` out");
-        ensure!(
-            args.view.since.is_none(),
-            "a PLY file holds no displacement; leave `--since` out"
-        );
-        ensure!(
-            !args.view.ply,
-            "`{}` is a PLY file already; leave `--ply` out",
-            args.scene.display()
-        );
-        let scene = rogs_field::ply::read_ply_file(&args.scene)?;
-        let scene = Scene {
-            gaussians: scene.gaussians,
-            time: None,
-            unit: LengthUnit::Metre,
-            recon_from_base: Pose::IDENTITY,
+    if !is_ply(&args.scene) {
+        let wanted = Wanted {
+            refinement: args.refinement.as_deref(),
+            time: args.time,
+            film: Some(&args.film),
         };
-        return render_scene(&scene, &args.view, None);
+        return render_field(&args.scene, &wanted, &args.beside, &args.view);
     }
-    let (field, _) = read_record::<Field>(&args.scene)?;
-    let mut stored = field.slices.iter().map(|slice| slice.time);
-    let time = match args.time {
-        None => stored.next(),
-        Some(asked) => stored.find(|time| (time - asked).abs() < 1e-6),
+    ensure!(args.refinement.is_none(), "a PLY file takes no refinement");
+    ensure!(
+        args.time.is_none() && args.film.times.is_none(),
+        "a PLY file holds one time; leave `--time` and `--times` out"
+    );
+    ensure!(
+        args.view.since.is_none(),
+        "a PLY file holds no displacement; leave `--since` out"
+    );
+    ensure!(
+        !args.view.ply,
+        "`{}` is a PLY file already; leave `--ply` out",
+        args.scene.display()
+    );
+    args.view.check(Some(&args.film))?;
+    let mut scene = read_ply(&args.scene)?;
+    let shot = args.view.find(&scene, None, USUAL_SIZE, args.film.video.is_some())?;
+    if let Some(video) = &args.film.video {
+        return args.view.shoot(&mut scene, None, video, shot, vec![0.0], &args.film);
+    }
+    let moment = Moment {
+        gaussians: scene.gaussians(0.0)?,
+        time: None,
+        unit: scene.unit(),
     };
-    let Some(time) = time else {
-        let stored: Vec<String> = field.slices.iter().map(|slice| slice.time.to_string()).collect();
-        bail!(
-            "the field stores no values at this time; `rogs query` answers any; stored times: {}",
-            stored.join(", ")
-        );
-    };
-    render_field(&field, args.refinement.as_deref(), time, &args.view)
+    render_scene(&moment, &args.view, &stills(&scene, shot, 0.0, &args.view)?, None)
 }
 
-/// Renders a field at a time that it stores, with the correction of a refinement file where one is given.
+/// Size of images where neither a camera nor a field has one.
+const USUAL_SIZE: (u32, u32) = (640, 352);
+
+/// Whether a file is a PLY by its name.
+fn is_ply(path: &Path) -> bool {
+    let ending = path.extension();
+    ending.is_some_and(|ending| ending.eq_ignore_ascii_case("ply"))
+}
+
+/// What is asked of a field.
+pub(crate) struct Wanted<'a> {
+    pub(crate) refinement: Option<&'a Path>,
+    /// The first stored one where none is named.
+    pub(crate) time: Option<f64>,
+    pub(crate) film: Option<&'a FilmArgs>,
+}
+
+/// Renders a field, with the correction of a refinement file where one is given.
 pub(crate) fn render_field(
-    field: &Field,
-    refinement: Option<&Path>,
-    time: f64,
+    path: &Path,
+    wanted: &Wanted<'_>,
+    beside: &BesideArgs,
     view: &ViewArgs,
 ) -> anyhow::Result<ExitCode> {
-    // A field takes long to read: a camera file with a mistake is reported first.
-    read_cameras(&view.camera)?;
-    RasterDevice::open(view.device)?;
-    let refinement = match refinement {
-        Some(path) => Some(read_record::<Refinement>(path)?.0),
-        None => None,
+    // A field takes long to read: mistakes of the request are reported first.
+    view.check(wanted.film)?;
+    let video = wanted.film.and_then(|film| film.video.as_deref());
+    let times = |field: &rogs_schemas::records::field::Field| {
+        let stored: Vec<f64> = field.slices.iter().map(|slice| slice.time).collect();
+        let asked = match (wanted.time, video) {
+            (Some(time), _) => time.to_string(),
+            (None, Some(_)) => (wanted.film.and_then(|film| film.times.clone())).unwrap_or_else(|| "all".to_owned()),
+            (None, None) => stored.first().context("the field stores no time")?.to_string(),
+        };
+        film::times(&asked, &stored, field.frame_count)
     };
-    let mut timed = TimedField::new(field)?;
-    if let Some(refinement) = &refinement {
-        timed = timed.with_refinement(refinement)?;
+    let (file, times) = FieldFile::read(path, wanted.refinement, times, beside)?;
+    let needed = view.camera.needs_scenery();
+    let clip_id = file.field.clip_id.as_str();
+    let read = || Scenery::read(&beside.clip(path), &beside.robot(path), clip_id);
+    let scenery = needed.then(read).transpose()?;
+    let mut scene = Scene::of(&file, scenery.as_ref())?;
+    let usual = (file.field.width, file.field.height);
+    let shot = view.find(&scene, scenery.as_ref(), usual, video.is_some())?;
+    if let (Some(video), Some(film)) = (video, wanted.film) {
+        return view.shoot(&mut scene, scenery.as_ref(), video, shot, times, film);
     }
-    let first = field.slices.first().map_or(time, |slice| slice.time);
-    let since = view.since.unwrap_or(first);
-    let scene = Scene {
-        gaussians: if view.npz {
-            timed.gaussians_with_displacement(time, since, time)?
+    let time = times.first().copied().context("the field stores no time")?;
+    let since = view.since.or(file.field.slices.first().map(|slice| slice.time));
+    let views = stills(&scene, shot, time, view)?;
+    let gaussians = scene.timed(time, |timed| {
+        Ok(if view.npz {
+            timed.gaussians_with_displacement(time, since.unwrap_or(time), time)?
         } else {
             timed.gaussians(time)?
-        },
+        })
+    })?;
+    let moment = Moment {
+        gaussians,
         time: Some(time),
-        unit: LengthUnit::Internal,
-        recon_from_base: Pose::from_rigid(&field.recon_from_base)?,
+        unit: scene.unit(),
     };
-    let ply = |path: &Path| -> anyhow::Result<()> {
-        let axes = match view.axes {
-            AxesArg::Recon => Axes::Recon,
-            AxesArg::Base => Axes::Base,
+    let axes = match view.axes {
+        AxesArg::Recon => Axes::Recon,
+        AxesArg::Base => Axes::Base,
+    };
+    let mut ply = |path: &Path| scene.timed(time, |timed| Ok(export_field(timed, time, axes, path)?));
+    render_scene(&moment, view, &views, if view.ply { Some(&mut ply) } else { None })
+}
+
+impl ViewArgs {
+    /// What can be seen to be wrong before anything is read.
+    fn check(&self, film: Option<&FilmArgs>) -> anyhow::Result<()> {
+        let video = film.is_some_and(|film| film.video.is_some());
+        ensure!(
+            self.out.is_some() || video,
+            "nothing is asked for: name a folder for pictures with `--out DIR`{}",
+            if film.is_some() {
+                ", or a film with `--video FILE`"
+            } else {
+                ""
+            }
+        );
+        let pictures = self.out.is_some() || self.depth || self.alpha || self.npz || self.ply;
+        ensure!(
+            !(video && pictures),
+            "`--video` makes a film alone: leave `--out`, `--depth`, `--alpha`, `--npz` and `--ply` out (`--beside depth` \
+             shows depth in the film)"
+        );
+        if let Some(path) = film.and_then(|film| film.video.as_ref()) {
+            rogs_video::FilmForm::of(path)?;
+        }
+        if let Viewpoint::File(path) = &self.camera {
+            rogs_export::nerfstudio::read_json(path)?;
+        }
+        RasterDevice::open(self.device)?;
+        Ok(())
+    }
+
+    fn place<'a>(&self, scene: &Scene<'_>, scenery: Option<&'a Scenery>, usual: (u32, u32), moving: bool) -> Place<'a> {
+        Place {
+            recon_from_base: scene.recon_from_base(),
+            scenery,
+            size: self.size,
+            usual,
+            moving,
+        }
+    }
+
+    fn find(
+        &self,
+        scene: &Scene<'_>,
+        scenery: Option<&Scenery>,
+        usual: (u32, u32),
+        moving: bool,
+    ) -> anyhow::Result<Shot> {
+        self.camera.find(&self.place(scene, scenery, usual, moving))
+    }
+
+    fn shoot(
+        &self,
+        scene: &mut Scene<'_>,
+        scenery: Option<&Scenery>,
+        video: &Path,
+        shot: Shot,
+        times: Vec<f64>,
+        film: &FilmArgs,
+    ) -> anyhow::Result<ExitCode> {
+        let place = self.place(scene, scenery, USUAL_SIZE, true);
+        let shooting = Shooting {
+            shot,
+            times,
+            device: &RasterDevice::open(self.device)?,
+            args: film,
+            json: self.json,
+            fit: &|camera| place.fit(camera),
         };
-        Ok(export_field(&timed, time, axes, path)?)
-    };
-    render_scene(&scene, view, view.ply.then_some(&ply))
+        film::shoot(scene, video, &shooting)
+    }
+}
+
+/// The cameras of pictures at a time, by name.
+fn stills(
+    scene: &Scene<'_>,
+    shot: Shot,
+    time: f64,
+    view: &ViewArgs,
+) -> anyhow::Result<Vec<(String, PosedCamera<Recon>)>> {
+    match shot {
+        Shot::Still(cameras) => Ok(cameras),
+        Shot::OfClip(camera) => {
+            let name = scene.clip().and_then(|clip| clip.cameras.get(camera.at()));
+            let name = name.map_or_else(|| camera.to_string(), |camera| camera.id.clone());
+            let place = view.place(scene, None, USUAL_SIZE, false);
+            Ok(vec![(name, place.fit(scene.camera_at(camera, time)?))])
+        }
+        Shot::Path { .. } | Shot::Orbit { .. } => bail!("a path needs `--video FILE`"),
+    }
 }
 
 fn make_folder(path: &Path) -> anyhow::Result<()> {
@@ -223,17 +321,25 @@ fn make_folder(path: &Path) -> anyhow::Result<()> {
 
 /// Renders a scene from all cameras; `ply` writes the scene as a whole. Nothing is written before all that was asked for
 /// has been understood.
-fn render_scene(scene: &Scene, args: &ViewArgs, ply: Option<&WritePly<'_>>) -> anyhow::Result<ExitCode> {
-    let cameras = read_cameras(&args.camera)?;
+fn render_scene(
+    scene: &Moment,
+    args: &ViewArgs,
+    cameras: &[(String, PosedCamera<Recon>)],
+    ply: Option<&mut WritePly<'_>>,
+) -> anyhow::Result<ExitCode> {
     let device = RasterDevice::open(args.device)?;
-    let views: Vec<(PosedCamera<Recon>, RasterCamera)> = cameras
-        .iter()
-        .map(|spec| camera(spec, scene))
-        .collect::<anyhow::Result<_>>()?;
-    make_folder(&args.out)?;
+    let out = args.out.as_deref().context("no folder was named")?;
+    let raster = |(name, camera): &(String, PosedCamera<Recon>)| {
+        let raster = RasterCamera::new(camera, scene.unit);
+        let checked = raster.validate();
+        checked.with_context(|| format!("camera `{name}` cannot be rendered"))?;
+        Ok(raster)
+    };
+    let views: Vec<RasterCamera> = cameras.iter().map(raster).collect::<anyhow::Result<_>>()?;
+    make_folder(out)?;
     let whole = match ply {
         Some(write) => {
-            let path = args.out.join("field.ply");
+            let path = out.join("field.ply");
             write(&path)?;
             Some(path)
         }
@@ -241,20 +347,20 @@ fn render_scene(scene: &Scene, args: &ViewArgs, ply: Option<&WritePly<'_>>) -> a
     };
     let mut rendered = Vec::new();
     // A view at a time: images of many large views would not fit in memory together.
-    for (spec, (posed, camera)) in cameras.iter().zip(views) {
+    for ((name, posed), camera) in cameras.iter().zip(views) {
         let views = device.render_views(&scene.gaussians, &[camera], &RasterConfig::default())?;
         let view = views
             .into_iter()
             .next()
             .context("one view was asked for, none was rendered")?;
-        let mut files = write(args, spec, &view, scene.unit)?;
+        let mut files = write(args, &out.join(name), &view, scene.unit)?;
         if args.npz {
-            let path = args.out.join(format!("{}.npz", spec.name));
-            write_numbers(&path, &posed, &view, scene)?;
+            let path = out.join(format!("{name}.npz"));
+            write_numbers(&path, posed, &view, scene)?;
             files.push(path);
         }
         rendered.push(Rendered {
-            camera: spec.name.clone(),
+            camera: name.clone(),
             files,
             time: scene.time,
             gaussians: scene.gaussians.len(),
@@ -287,49 +393,8 @@ fn render_scene(scene: &Scene, args: &ViewArgs, ply: Option<&WritePly<'_>>) -> a
     Ok(ExitCode::SUCCESS)
 }
 
-fn read_cameras(path: &Path) -> anyhow::Result<Vec<CameraSpec>> {
-    let text = rogs_files::read_to_string(path).with_context(|| format!("reading `{}`", path.display()))?;
-    let file = serde_json::from_str(&text).with_context(|| format!("not a camera file: `{}`", path.display()))?;
-    let cameras = match file {
-        CameraFile::Many(cameras) => cameras,
-        CameraFile::One(camera) => vec![*camera],
-    };
-    ensure!(!cameras.is_empty(), "`{}` holds no camera", path.display());
-    for camera in &cameras {
-        check_name(&camera.name).context("the name of a camera becomes that of its files")?;
-    }
-    Ok(cameras)
-}
-
-/// The camera of a view, in metres and as it is rendered from.
-fn camera(spec: &CameraSpec, scene: &Scene) -> anyhow::Result<(PosedCamera<Recon>, RasterCamera)> {
-    let of_camera = || format!("the pose of camera `{}`", spec.name);
-    let recon_from_camera: Pose<Recon, Camera> = match (&spec.recon_from_camera, &spec.base_from_camera) {
-        (Some(written), None) => Pose::from_written(written).with_context(of_camera)?,
-        (None, Some(written)) => {
-            let base_from_camera: Pose<Base, Camera> = Pose::from_written(written).with_context(of_camera)?;
-            scene.recon_from_base * base_from_camera
-        }
-        _ => bail!(
-            "camera `{}` needs either `base_from_camera` or `recon_from_camera`",
-            spec.name
-        ),
-    };
-    let lens = Pinhole {
-        intrinsics: spec.intrinsics,
-        width: spec.width,
-        height: spec.height,
-    };
-    let posed = PosedCamera::new(lens, recon_from_camera);
-    let camera = RasterCamera::new(&posed, scene.unit);
-    camera
-        .validate()
-        .with_context(|| format!("camera `{}` cannot be rendered", spec.name))?;
-    Ok((posed, camera))
-}
-
 /// All numbers of a view: images of f32, `[H, W]` or `[H, W, 3]`, and the camera in f64.
-fn write_numbers(path: &Path, camera: &PosedCamera<Recon>, view: &Render, scene: &Scene) -> rogs_files::Result<()> {
+fn write_numbers(path: &Path, camera: &PosedCamera<Recon>, view: &Render, scene: &Moment) -> rogs_files::Result<()> {
     let (height, width) = (view.height, view.width);
     let depth: Vec<f32> = metres(&view.depth_expected, scene.unit);
     let Intrinsics { fx, fy, cx, cy } = camera.lens.intrinsics;
@@ -358,27 +423,28 @@ fn metres(depth: &[f32], unit: LengthUnit) -> Vec<f32> {
     depth.iter().map(|&depth| unit.to_m(depth)).collect()
 }
 
-fn write(args: &ViewArgs, spec: &CameraSpec, view: &Render, unit: LengthUnit) -> anyhow::Result<Vec<PathBuf>> {
+/// Writes a picture and what is asked for beside it; `stem` is the path without an ending.
+fn write(args: &ViewArgs, stem: &Path, view: &Render, unit: LengthUnit) -> anyhow::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
-    let png = args.out.join(format!("{}.png", spec.name));
-    let bytes: Vec<u8> = view
-        .rgb
-        .iter()
-        .map(|value| (value.clamp(0.0, 1.0) * 255.0).round() as u8)
-        .collect();
-    write_png(&png, (spec.width, spec.height), &bytes)?;
+    let named = |ending: &str| {
+        let mut path = stem.as_os_str().to_owned();
+        path.push(ending);
+        PathBuf::from(path)
+    };
+    let png = named(".png");
+    write_png(&png, (view.width as u32, view.height as u32), &bytes_of(view))?;
     files.push(png);
-    let mut plane = |kind: &str, channel: &str, values: Vec<f32>| -> anyhow::Result<()> {
-        let path = args.out.join(format!("{}.{kind}.exr", spec.name));
-        write_exr(&path, (spec.width as usize, spec.height as usize), channel, values)?;
+    let mut plane = |ending: &str, channel: &str, values: Vec<f32>| -> anyhow::Result<()> {
+        let path = named(ending);
+        write_exr(&path, (view.width, view.height), channel, values)?;
         files.push(path);
         Ok(())
     };
     if args.depth {
-        plane("depth", "Z", metres(&view.depth_expected, unit))?;
+        plane(".depth.exr", "Z", metres(&view.depth_expected, unit))?;
     }
     if args.alpha {
-        plane("alpha", "A", view.alpha.clone())?;
+        plane(".alpha.exr", "A", view.alpha.clone())?;
     }
     Ok(files)
 }
