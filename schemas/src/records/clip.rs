@@ -19,7 +19,8 @@ pub struct Clip {
     pub clip_id: ClipId,
     /// Episode id of the dataset (a DROID uuid where there is one).
     pub episode_id: String,
-    /// Which importer read it: `rogs-episode`, `droid-raw`, `droid-ctrlworld`, `lerobot-v2.1`, `lerobot-v3.0`.
+    /// Which importer read it: `rogs-episode`, `droid-raw`, `droid-ctrlworld`, `lerobot-v2.1`, `lerobot-v3.0`,
+    /// `agibot`.
     pub layout: String,
     /// Language instruction; may be empty.
     pub task: String,

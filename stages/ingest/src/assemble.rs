@@ -77,6 +77,7 @@ pub(crate) fn assemble(
                 source: &source,
                 frames: interval.count,
                 start: interval.start,
+                step: interval.step,
                 fps,
             };
             let (rollout, said) = rollout::read(path, &wanted, &mut cameras, params)?;

@@ -15,6 +15,8 @@ use crate::video;
 pub(crate) enum FrameSource {
     /// `000000.png`, `000001.png`, ... in a folder.
     Folder(PathBuf),
+    /// `0.png`, `1.png`, ... in a folder.
+    Numbered(PathBuf),
     /// Frames of a video file.
     Video {
         path: PathBuf,
@@ -132,6 +134,12 @@ impl FrameSource {
             Self::Folder(folder) => {
                 for index in 0..count {
                     take(&read_rgb(&folder.join(numbered(first + index * step, "png")), size)?);
+                }
+                Ok(None)
+            }
+            Self::Numbered(folder) => {
+                for index in 0..count {
+                    take(&read_rgb(&folder.join(format!("{}.png", first + index * step)), size)?);
                 }
                 Ok(None)
             }

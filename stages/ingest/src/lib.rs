@@ -37,7 +37,7 @@ use rogs_schemas::records::clip::Clip;
 use rogs_schemas::shown;
 use rogs_worker::{Context, Stage, StageError, StageResult};
 
-pub use crate::params::{DroidParams, IdleSteps};
+pub use crate::params::{DroidParams, IdleSteps, Quality};
 pub use listing::{EpisodeListing, count_frames, list_episodes};
 pub use media::{MediaReport, media_report};
 pub use outline::outline;

@@ -8,7 +8,10 @@ use rogs_worker::{StageError, StageResult};
 use serde::Serialize;
 
 use crate::fault::io_error;
-use crate::layouts::{KNOWN, Layout, LerobotEpisode, ctrlworld, detect, droid, lerobot_dataset, rogs_episode};
+use crate::layouts::{
+    KNOWN, Layout, LerobotEpisode, agibot, ctrlworld, detect, droid, lerobot_dataset, refusal, rogs_episode,
+};
+use crate::pointworld;
 
 /// One episode that can be ingested.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -59,7 +62,8 @@ pub fn list_episodes(root: &Path) -> StageResult<Vec<EpisodeListing>> {
         found = list_droid(root, "")?;
     }
     if found.is_empty() {
-        return Err(droid::refusal(root).unwrap_or_else(|| {
+        let known = refusal(root).or_else(|| pointworld::refusal(root));
+        return Err(known.unwrap_or_else(|| {
             StageError::bad_input(format!("`{}` holds no episode of a known layout", root.display())).with_hint(KNOWN)
         }));
     }
@@ -100,6 +104,12 @@ fn list(folder: &Path, relative: &str, layout: Layout) -> StageResult<Vec<Episod
             Ok(ctrlworld::selectors(folder)?.into_iter().map(one).collect())
         }
         Layout::DroidRaw => list_droid(folder, relative),
+        Layout::Agibot => {
+            let name = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+            let name = name.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let (frames, files) = (agibot::frames(folder), all_files(folder)?);
+            Ok(vec![listing(name, agibot::LAYOUT, String::new(), frames, files)])
+        }
         Layout::Lerobot => {
             let dataset = lerobot_dataset(folder)?;
             let one = |episode: LerobotEpisode| {

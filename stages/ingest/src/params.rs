@@ -1,5 +1,7 @@
 //! Parameters of the stage.
 
+use std::collections::BTreeMap;
+
 use rogs_schemas::{EpisodeFrame, FrameIndex};
 use rogs_worker::{StageError, StageResult};
 use schemars::JsonSchema;
@@ -155,6 +157,8 @@ pub enum LayoutChoice {
     DroidRaw,
     /// LeRobot v2.1 or v3.0.
     Lerobot,
+    /// Samples of AgiBot as Genie Envisioner keeps them: images, camera parameters and poses of both hands.
+    Agibot,
 }
 
 /// Query times of a clip.
@@ -279,7 +283,7 @@ impl Default for PointWorldParams {
 }
 
 /// How raw DROID episodes are taken.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct DroidParams {
     /// Link of the URDF that is the flange, which carries the wrist camera.
@@ -288,6 +292,18 @@ pub struct DroidParams {
     pub idle: IdleSteps,
     /// Take the right eyes out of the stereo videos, as evaluation cameras.
     pub right_eyes: bool,
+    /// Published extrinsics are taken only when the numbers of their quality, by name, are in these bounds.
+    pub quality: BTreeMap<String, Quality>,
+}
+
+/// Bounds of a number of quality.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Quality {
+    /// At least this.
+    pub min: Option<f64>,
+    /// At most this.
+    pub max: Option<f64>,
 }
 
 impl Default for DroidParams {
@@ -296,6 +312,7 @@ impl Default for DroidParams {
             flange_link: "panda_link8".to_owned(),
             idle: IdleSteps::Keep,
             right_eyes: true,
+            quality: BTreeMap::new(),
         }
     }
 }
@@ -313,7 +330,8 @@ impl PointWorldParams {
     }
 }
 
-/// Idle steps of a raw DROID episode: `movement_enabled` is false, or `skip_action` is set.
+/// Idle steps of a raw DROID episode: `movement_enabled` is false, `skip_action` is set, or the step is outside of the
+/// published ranges that loaders keep.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum IdleSteps {

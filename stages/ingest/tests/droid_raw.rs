@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 use std::time::Instant;
 
 use rogs_geometry::{Camera, Pose};
-use rogs_ingest::{DroidParams, IdleSteps, Params, QueryChoice, QueryPlanName, list_episodes, read_clip};
+use rogs_ingest::{DroidParams, IdleSteps, Params, Quality, QueryChoice, QueryPlanName, list_episodes, read_clip};
 use rogs_needs::needs;
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip};
 use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex, RigidPose};
@@ -568,6 +568,14 @@ fn what_is_missing_is_said_with_the_way_to_get_it() {
     let wrong = Changed::of(whole);
     std::fs::remove_dir_all(wrong.path("recordings")).unwrap();
     assert!(wrong.refused().contains("no video of any camera"));
+    // Only the maker's own form is there.
+    std::fs::create_dir_all(wrong.path("recordings/SVO")).unwrap();
+    std::fs::write(wrong.path(&format!("recordings/SVO/{}.svo", whole.serials[0])), "").unwrap();
+    let text = wrong.refused();
+    assert!(
+        text.contains("only SVO files") && text.contains("ZED SDK") && text.contains("-stereo.mp4"),
+        "{text}"
+    );
     // Without metadata: refused, but for an episode of the published tables.
     let wrong = Changed::of(whole);
     std::fs::remove_file(wrong.path(&wrong.name)).unwrap();
@@ -650,6 +658,61 @@ fn record_files_are_refused_with_the_way_on() {
     }
     let error = read_clip(folder.path(), None, &params(), "c").unwrap_err();
     assert!(error.hint.unwrap().contains("raw DROID"));
+}
+
+/// Ranges that loaders keep are joined by the episode's place; its quality gates a published pose.
+#[needs(libx264)]
+#[test]
+fn kept_ranges_and_the_quality_of_published_poses_are_honoured() {
+    let whole = episode(Peculiar::Whole);
+    let folder = tempfile::tempdir().unwrap();
+    let place = whole.place.strip_prefix(&tree().root).unwrap().display().to_string();
+    let key = format!("gs://bucket/droid/{place}/recordings/MP4--gs://bucket/droid/{place}/trajectory.h5");
+    let ranges = json!({key: [[0, 18]]});
+    std::fs::write(folder.path().join("keep_ranges_1_0_1.json"), ranges.to_string()).unwrap();
+    let (clip, _) = read(Peculiar::Whole, Some(folder.path()), &params());
+    assert!(
+        clip.calibration_note.contains("2 of 20 steps are idle and kept"),
+        "{}",
+        clip.calibration_note
+    );
+    let drop = Params {
+        droid: DroidParams {
+            idle: IdleSteps::Drop,
+            ..DroidParams::default()
+        },
+        ..params()
+    };
+    let (_, warnings) = read(Peculiar::Whole, Some(folder.path()), &drop);
+    assert!(said(&warnings, "2 of 20 steps are idle and left out"), "{warnings:?}");
+
+    // A published pose a metre off with an overlap of 0.4.
+    let [_, ext1, _] = whole.serials;
+    let mut pose = six(&whole.truth.base_from_camera(1, 0));
+    pose[2] = json!(pose[2].as_f64().unwrap() + 1.0);
+    let table = json!({whole.uuid.clone(): {ext1: pose, format!("{ext1}_iou"): 0.4}});
+    std::fs::write(folder.path().join("cam2base_extrinsics.json"), table.to_string()).unwrap();
+    let (clip, _) = read(Peculiar::Whole, Some(folder.path()), &params());
+    assert!(
+        clip.calibration_note
+            .contains("published (cam2base_extrinsics.json, iou 0.4)"),
+        "{}",
+        clip.calibration_note
+    );
+    let gate = Quality {
+        min: Some(0.5),
+        max: None,
+    };
+    let gated = Params {
+        droid: DroidParams {
+            quality: [("iou".to_owned(), gate)].into(),
+            ..DroidParams::default()
+        },
+        ..params()
+    };
+    let (clip, warnings) = read(Peculiar::Whole, Some(folder.path()), &gated);
+    assert!(said(&warnings, "is not taken: iou 0.4 is below 0.5"), "{warnings:?}");
+    check_geometry(&clip, whole);
 }
 
 /// The names of 9,560 episodes, a tenth of DROID: a second or two on a quiet machine, in proportion to the number.

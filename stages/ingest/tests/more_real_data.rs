@@ -4,15 +4,12 @@
 
 mod common;
 
-use std::path::Path;
-
 use common::Scratch;
 use rogs_arrays::{NpyFile, npy_bytes};
 use rogs_ingest::{Observations, Params, RolloutParams, list_episodes, read_clip, read_rollout};
 use rogs_needs::{needs, shared};
 use rogs_schemas::records::clip::CameraMount;
 use rogs_schemas::{CameraIndex, FrameIndex};
-use serde_json::json;
 
 fn params(episode: &str) -> Params {
     Params {
@@ -72,6 +69,12 @@ fn recorded_videos_in_the_place_of_a_rollout_are_found_to_begin_elsewhere() {
     for camera in &clip.cameras {
         assert!(camera.generated == camera.recorded, "{}", camera.id);
     }
+    // A frame late, as far as the scene has moved by then.
+    let near = read_rollout(&root, None, &rollout, &at(8), "c");
+    println!(
+        "one frame late: {:?}",
+        near.as_ref().map(|_| ()).map_err(|error| &error.message)
+    );
     // What the check can tell: the same scene at other moments, and other views.
     let figures = |first: u32| {
         let mut params = at(first);
@@ -99,69 +102,42 @@ fn recorded_videos_in_the_place_of_a_rollout_are_found_to_begin_elsewhere() {
     assert!(length.message.contains("the 17 frames of the clip need 24"), "{length}");
 }
 
-/// The AgiBot samples as an own episode: three moving or fixed cameras with a pose for every frame. They come without
-/// joints; the places of both hands stand in for them.
+/// The AgiBot samples: three moving or fixed cameras with a pose for every frame, and both hands as joints.
 #[needs(shared)]
 #[test]
 fn the_agibot_samples_become_clips_with_moving_cameras() {
-    for sample in 0..2 {
-        let root = shared!("data/agibot_gesim").join(format!("sample_{sample}"));
-        let scratch = Scratch::new(&format!("agibot-{sample}"));
-        const FRAMES: usize = 4;
-        let rows = |name: &str, width: usize| -> Vec<f64> {
-            let mut array = NpyFile::open(&root.join(name)).unwrap();
-            let values = array.all().unwrap();
-            values[..FRAMES * width].to_vec()
-        };
-        let camera = |id: &str, name: &str| {
-            let folder = scratch.0.join(id);
-            std::fs::create_dir_all(&folder).unwrap();
-            for frame in 0..FRAMES {
-                let bytes = std::fs::read(root.join(format!("{name}_color/{frame}.png"))).unwrap();
-                std::fs::write(folder.join(format!("{frame:06}.png")), bytes).unwrap();
-            }
-            let poses = rows(&format!("extrinsic_{name}.npy"), 16);
-            std::fs::write(scratch.0.join(format!("{id}.npy")), npy_bytes(&[FRAMES, 4, 4], &poses)).unwrap();
-            let k = NpyFile::open(&root.join(format!("intrinsic_{name}.npy")))
-                .unwrap()
-                .all()
-                .unwrap();
-            json!({
-                "id": id, "role": "source", "images": id, "width": 640, "height": 480,
-                "intrinsics": {"fx": k[0], "fy": k[4], "cx": k[2], "cy": k[5]}, "pixel_centres": "integer",
-                "mount": {"trajectory": {"base_from_camera": format!("{id}.npy")}},
-            })
-        };
-        let cameras =
-            [("wrist", "hand_left"), ("wrist2", "hand_right"), ("head", "head")].map(|(id, name)| camera(id, name));
-        let actions = rows("actions.npy", 16);
-        let mut csv = "left_x,right_x,gripper\n".to_owned();
-        for row in actions.chunks_exact(16) {
-            // The gripper is in units of the device, some 35 to 120.
-            csv += &format!("{},{},{}\n", row[0], row[8], (row[7] / 120.0).clamp(0.0, 1.0));
-        }
-        std::fs::write(scratch.0.join("states.csv"), csv).unwrap();
-        let episode = json!({
-            "format": "rogs-episode 1", "episode_id": format!("agibot-{sample}"), "fps": 30.0, "frame_count": FRAMES,
-            "robot": {"joint_names": ["left_x", "right_x"], "states": "states.csv"}, "cameras": cameras,
-        });
-        std::fs::write(scratch.0.join("episode.json"), episode.to_string()).unwrap();
-        let params = Params {
-            frames: FRAMES as u32,
-            source_frames: vec![FrameIndex(0), FrameIndex(3)],
-            ..Params::default()
-        };
-        let (clip, _) = read_clip(&scratch.0, None, &params, "c").unwrap();
+    let root = shared!("data/agibot_gesim");
+    let listed = list_episodes(&root).unwrap();
+    let names: Vec<(&str, &str, Option<u64>)> = listed
+        .iter()
+        .map(|listed| (listed.name.as_str(), listed.layout.as_str(), listed.frames))
+        .collect();
+    assert_eq!(
+        names,
+        [("sample_0", "agibot", Some(4)), ("sample_1", "agibot", Some(4))]
+    );
+    const FRAMES: usize = 4;
+    for listed in listed {
+        let root = root.join(&listed.folder);
+        let (clip, warnings) = read_clip(&root, None, &agibot_params(), "c").unwrap();
+        assert!(
+            warnings
+                .iter()
+                .any(|warning| warning.contains("300 steps for 4 images")),
+            "{warnings:?}"
+        );
         assert_eq!(
             (clip.cameras.len(), clip.frame_count(), clip.height, clip.width),
             (3, FRAMES, 154, 280)
         );
         for (camera, name) in clip.cameras.iter().zip(["hand_left", "hand_right", "head"]) {
+            assert_eq!(camera.id, name);
             let CameraMount::Trajectory { base_from_camera } = &camera.mount else {
                 panic!("a trajectory")
             };
-            let stored = rows(&format!("extrinsic_{name}.npy"), 16);
-            for (pose, matrix) in base_from_camera.iter().zip(stored.chunks_exact(16)) {
+            let mut stored = NpyFile::open(&root.join(format!("extrinsic_{name}.npy"))).unwrap();
+            for (step, pose) in base_from_camera.iter().enumerate() {
+                let matrix = stored.entry(step).unwrap();
                 for (axis, value) in pose.translation.iter().enumerate() {
                     assert!((value - matrix[4 * axis + 3]).abs() < 1e-9, "{name}");
                 }
@@ -173,9 +149,29 @@ fn the_agibot_samples_become_clips_with_moving_cameras() {
                 camera.intrinsics
             );
         }
+        let mut actions = NpyFile::open(&root.join("actions.npy")).unwrap();
+        for frame in 0..FRAMES {
+            let row = actions.entry(frame).unwrap();
+            let joints = &clip.robot.positions[14 * frame..14 * (frame + 1)];
+            assert_eq!((&joints[..3], &joints[7..10]), (&row[..3], &row[8..11]));
+            // The quaternion again, out of yaw, pitch and roll.
+            let turned = |angles: &[f64]| glam::DQuat::from_euler(glam::EulerRot::ZYX, angles[0], angles[1], angles[2]);
+            let recorded = |at: usize| glam::DQuat::from_xyzw(row[at], row[at + 1], row[at + 2], row[at + 3]);
+            assert!(turned(&joints[3..6]).dot(recorded(3)).abs() > 1.0 - 1e-6);
+            assert!(turned(&joints[10..13]).dot(recorded(11)).abs() > 1.0 - 1e-6);
+            assert!((joints[6] - (row[7] - 35.0) / 85.0).abs() < 1e-9);
+        }
         assert!(is_lit(
             &clip.target(CameraIndex(0), FrameIndex(3)).unwrap().rgb()[..3000]
         ));
+    }
+}
+
+fn agibot_params() -> Params {
+    Params {
+        frames: 4,
+        source_frames: vec![FrameIndex(0), FrameIndex(3)],
+        ..Params::default()
     }
 }
 
@@ -183,9 +179,107 @@ fn is_lit(rgb: &[u8]) -> bool {
     rgb.iter().any(|&value| value > 20)
 }
 
+/// What is missing or wrong in a sample is told with the way to get it.
 #[needs(shared)]
 #[test]
-fn a_sample_of_agibot_alone_is_no_episode() {
-    let error = list_episodes(Path::new(&shared!("data/agibot_gesim/sample_0"))).unwrap_err();
-    assert!(error.message.contains("holds no episode of a known layout"), "{error}");
+fn agibot_samples_without_calibration_or_with_a_wrong_one_are_refused() {
+    let root = shared!("data/agibot_gesim").join("sample_1");
+    let sample = |name: &str| {
+        let scratch = Scratch::new(name);
+        for entry in std::fs::read_dir(&root).unwrap() {
+            let entry = entry.unwrap();
+            let target = scratch.0.join(entry.file_name());
+            if entry.path().is_dir() {
+                std::fs::create_dir_all(&target).unwrap();
+                for image in std::fs::read_dir(entry.path()).unwrap() {
+                    let image = image.unwrap();
+                    std::fs::write(target.join(image.file_name()), std::fs::read(image.path()).unwrap()).unwrap();
+                }
+            } else {
+                std::fs::write(target, std::fs::read(entry.path()).unwrap()).unwrap();
+            }
+        }
+        scratch
+    };
+    let refused = |scratch: &Scratch| {
+        let error = read_clip(&scratch.0, None, &agibot_params(), "c").unwrap_err();
+        format!("{} / {}", error.message, error.hint.unwrap_or_default())
+    };
+    let numbers = |name: &str| NpyFile::open(&root.join(name)).unwrap().all().unwrap();
+
+    let lens = sample("agibot-lens");
+    std::fs::remove_file(lens.0.join("intrinsic_head.npy")).unwrap();
+    let text = refused(&lens);
+    assert!(
+        text.contains("the calibration (intrinsics) of camera `head` is missing")
+            && text.contains("calibration-format.md"),
+        "{text}"
+    );
+    let poses = sample("agibot-poses");
+    std::fs::remove_file(poses.0.join("extrinsic_hand_left.npy")).unwrap();
+    assert!(refused(&poses).contains("(camera-to-base poses) of camera `hand_left` is missing"));
+
+    // Poses that map base to camera.
+    let inverted = sample("agibot-inverted");
+    let matrices = numbers("extrinsic_hand_right.npy");
+    let inverse: Vec<f64> = matrices
+        .chunks_exact(16)
+        .flat_map(|matrix| {
+            let rows: [f64; 16] = matrix.try_into().unwrap();
+            glam::DMat4::from_cols_array(&rows)
+                .transpose()
+                .inverse()
+                .transpose()
+                .to_cols_array()
+        })
+        .collect();
+    std::fs::write(
+        inverted.0.join("extrinsic_hand_right.npy"),
+        npy_bytes(&[300, 4, 4], &inverse),
+    )
+    .unwrap();
+    assert!(
+        refused(&inverted).contains("the poses map base to camera"),
+        "{}",
+        refused(&inverted)
+    );
+
+    // Millimetres, a lens of other images, a missing image, fewer steps than images.
+    let millimetres: Vec<f64> = matrices
+        .iter()
+        .enumerate()
+        .map(|(at, value)| {
+            if at % 4 == 3 && at % 16 < 12 {
+                1000.0 * value
+            } else {
+                *value
+            }
+        })
+        .collect();
+    let far = sample("agibot-millimetres");
+    std::fs::write(
+        far.0.join("extrinsic_hand_right.npy"),
+        npy_bytes(&[300, 4, 4], &millimetres),
+    )
+    .unwrap();
+    assert!(refused(&far).contains(" m"), "{}", refused(&far));
+    let gap = sample("agibot-gap");
+    std::fs::remove_file(gap.0.join("head_color/1.png")).unwrap();
+    assert!(refused(&gap).contains("are not numbered from `0.png` on without a gap"));
+    let short = sample("agibot-short");
+    let actions = numbers("actions.npy");
+    std::fs::write(short.0.join("actions.npy"), npy_bytes(&[3, 16], &actions[..48])).unwrap();
+    assert!(
+        refused(&short).contains("it has 3 steps for 4 images"),
+        "{}",
+        refused(&short)
+    );
+
+    // AgiBot World as released is another form.
+    let world = Scratch::new("agibot-world");
+    for folder in ["observations", "parameters", "proprio_stats"] {
+        std::fs::create_dir_all(world.0.join(folder)).unwrap();
+    }
+    let error = list_episodes(&world.0).unwrap_err();
+    assert!(error.message.contains("AgiBot World as released"), "{error}");
 }

@@ -311,9 +311,9 @@ fn a_rollout_of_another_length_rate_or_scene_is_refused() {
 
     let swapped = refused(&scratch, &folder("swapped", ["wrist", "ext2", "ext1"], 17), none());
     assert!(
-        swapped
-            .message
-            .contains("its first frame is not the first recorded one of camera `ext1`: 14.8 dB, at least 20"),
+        swapped.message.contains(
+            "its first frame is not the first recorded one of camera `ext1` (14.8 dB) but that of camera `ext2`"
+        ),
         "{swapped}"
     );
     let shifted = RolloutParams {
@@ -346,6 +346,81 @@ fn a_rollout_of_another_length_rate_or_scene_is_refused() {
     assert!(
         gone.message.contains("nowhere") && gone.code == FailureCode::BadInput,
         "{gone}"
+    );
+}
+
+#[test]
+fn a_rollout_that_begins_a_frame_early_or_late_is_told_from_the_right_one() {
+    let scratch = three_cameras("early");
+    let all = ["wrist", "ext1", "ext2"];
+    let folder = scratch.0.join("late");
+    write_views(&folder, all, 18);
+    let at = |first_frame: u32, least: f64| RolloutParams {
+        frames: Some(18),
+        first_frame,
+        min_first_frame_psnr_db: least,
+        ..RolloutParams::default()
+    };
+    assert!(read(&scratch, &folder, at(0, 20.0)).is_ok());
+    // Some 40 dB from the right frame: what the least PSNR lets through.
+    let late = refused(&scratch, &folder, at(1, 20.0));
+    assert!(
+        late.message.contains("of camera `wrist` (")
+            && late
+                .message
+                .contains("but that of episode frame 3, where the clip begins at 2"),
+        "{late}"
+    );
+    assert!(late.hint.unwrap().contains("`start_frame = 3` under [ingest]"));
+    // Asked not to look, it is taken.
+    assert!(read(&scratch, &folder, at(1, 0.0)).is_ok());
+
+    let early = scratch.0.join("early");
+    for (camera, name) in all.into_iter().enumerate() {
+        for number in 0..17 {
+            let pixel = |at: u32| colour(COLOURS[camera], START + number - 1, at % WIDTH, at / WIDTH);
+            let image = (0..WIDTH * HEIGHT).flat_map(pixel).collect();
+            save(&early.join(format!("{name}/{number:06}.png")), (WIDTH, HEIGHT), image);
+        }
+    }
+    let early = refused(&scratch, &early, RolloutParams::default());
+    assert!(
+        early
+            .message
+            .contains("but that of episode frame 1, where the clip begins at 2"),
+        "{early}"
+    );
+    assert!(
+        early
+            .hint
+            .unwrap()
+            .contains("`first-frame` under [rollouts] to the frame that shows episode frame 2")
+    );
+}
+
+#[test]
+fn a_view_of_another_scale_or_mirrored_is_named() {
+    let scratch = three_cameras("scale");
+    let write = |name: &str, place: &dyn Fn(u32) -> u32| {
+        let folder = scratch.0.join(name);
+        write_views(&folder, ["wrist", "ext1", "ext2"], 17);
+        for number in 0..17 {
+            let pixel = |at: u32| colour(COLOURS[1], START + number, place(at % WIDTH), at / WIDTH);
+            let image = (0..WIDTH * HEIGHT).flat_map(pixel).collect();
+            save(&folder.join(format!("ext1/{number:06}.png")), (WIDTH, HEIGHT), image);
+        }
+        refused(&scratch, &folder, RolloutParams::default())
+    };
+    // A 4:3 cut out of the middle, stretched to the whole width.
+    let cut = write("cut", &|x| (WIDTH / 8) + x * 3 / 4);
+    assert!(
+        cut.message.contains("camera `ext1`") && cut.message.contains("a part of it, 75 % of its width and 100 %"),
+        "{cut}"
+    );
+    let mirrored = write("mirrored", &|x| WIDTH - 1 - x);
+    assert!(
+        mirrored.message.contains("its mirror image, left for right"),
+        "{mirrored}"
     );
 }
 

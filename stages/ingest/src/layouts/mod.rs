@@ -1,5 +1,6 @@
 //! The layouts of episode folders, and telling them apart.
 
+pub(crate) mod agibot;
 pub(crate) mod ctrlworld;
 pub(crate) mod droid;
 pub(crate) mod lerobot;
@@ -28,11 +29,13 @@ pub(crate) enum Layout {
     DroidCtrlworld,
     DroidRaw,
     Lerobot,
+    Agibot,
 }
 
 /// What is looked for, for those who gave a folder that holds none of it.
 pub(crate) const KNOWN: &str = "expected `episode.json` (docs/episode-format.md), `annotation/` and `videos/` (DROID, \
-    Ctrl-World), `trajectory.h5` or a tree LAB/success/DATE/TIME (raw DROID, docs/droid.md), or `meta/info.json` (LeRobot)";
+    Ctrl-World), `trajectory.h5` or a tree LAB/success/DATE/TIME (raw DROID, docs/droid.md), \
+    `meta/info.json` (LeRobot), or `actions.npy` and `head_color/` (AgiBot)";
 
 /// The layout of a folder, told by the files in it.
 pub(crate) fn detect(root: &Path) -> Option<Layout> {
@@ -44,6 +47,8 @@ pub(crate) fn detect(root: &Path) -> Option<Layout> {
         Some(Layout::DroidCtrlworld)
     } else if droid::is_episode(root) {
         Some(Layout::DroidRaw)
+    } else if agibot::is_sample(root) {
+        Some(Layout::Agibot)
     } else {
         None
     }
@@ -59,7 +64,7 @@ pub(crate) fn open(root: &Path, calibration: Option<&Path>, params: &Params) -> 
     }
     let layout = match params.layout {
         LayoutChoice::Auto => detect(root).ok_or_else(|| {
-            droid::refusal(root).unwrap_or_else(|| {
+            refusal(root).unwrap_or_else(|| {
                 StageError::bad_input(format!("not an episode folder of a known layout: `{}`", root.display()))
                     .with_hint(KNOWN)
             })
@@ -68,6 +73,7 @@ pub(crate) fn open(root: &Path, calibration: Option<&Path>, params: &Params) -> 
         LayoutChoice::DroidCtrlworld => Layout::DroidCtrlworld,
         LayoutChoice::DroidRaw => Layout::DroidRaw,
         LayoutChoice::Lerobot => Layout::Lerobot,
+        LayoutChoice::Agibot => Layout::Agibot,
     };
     let file = || -> StageResult<Option<Calibration>> {
         if let Some(folder) = calibration.filter(|path| path.is_dir()) {
@@ -84,7 +90,13 @@ pub(crate) fn open(root: &Path, calibration: Option<&Path>, params: &Params) -> 
         Layout::DroidCtrlworld => ctrlworld::open(root, file()?, &params.episode),
         Layout::DroidRaw => droid::open(root, calibration, params),
         Layout::Lerobot => lerobot::open(root, file()?.as_ref(), params),
+        Layout::Agibot => agibot::open(root, file()?.as_ref(), &params.states),
     }
+}
+
+/// The error for a folder in a form that is known and not read; `None` for all others.
+pub(crate) fn refusal(root: &Path) -> Option<StageError> {
+    droid::refusal(root).or_else(|| agibot::refusal(root))
 }
 
 /// A LeRobot data set as the listing shows it.

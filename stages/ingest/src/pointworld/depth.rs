@@ -15,6 +15,8 @@ use crate::source::{CachedDepth, Source, SourceDepth};
 const RANGE_M: [f32; 2] = [0.1, 5.0];
 /// Depth of a scene never stays below this in millimetres; in metres it does.
 const METRES_BELOW: u16 = 50;
+/// Longest side of a map, pixels.
+const MAX_SIDE: usize = 8192;
 
 /// Adds the depth of every camera that the episode has.
 pub(super) fn join(path: &Path, source: &mut Source, tolerance_ms: f64) -> StageResult<()> {
@@ -57,6 +59,10 @@ pub(super) fn join(path: &Path, source: &mut Source, tolerance_ms: f64) -> Stage
             ));
         }
         let (frames, height, width) = (depth.shape()[0], depth.shape()[1], depth.shape()[2]);
+        if ![height, width].iter().all(|side| (1..=MAX_SIDE).contains(side)) {
+            let what = format!("`{group}/depth` has maps of {width}x{height} pixels: impossible");
+            return Err(wrong(path, what));
+        }
         let camera = &source.cameras[index];
         let aspect = |width: f64, height: f64| width / height;
         let (own, cached) = (
@@ -64,7 +70,7 @@ pub(super) fn join(path: &Path, source: &mut Source, tolerance_ms: f64) -> Stage
             aspect(width as f64, height as f64),
         );
         // A pixel of rounding is no other aspect.
-        if (own / cached - 1.0).abs() > 1.0 / height.max(1) as f64 {
+        if (own / cached - 1.0).abs() > 1.0 / height as f64 {
             return Err(wrong(
                 path,
                 format!(
@@ -73,8 +79,7 @@ pub(super) fn join(path: &Path, source: &mut Source, tolerance_ms: f64) -> Stage
                 ),
             ));
         }
-        let size = u32::try_from(width).ok().zip(u32::try_from(height).ok());
-        let size = size.ok_or_else(|| wrong(path, format!("`{group}/depth` has impossible maps")))?;
+        let size = (width as u32, height as u32);
         let times = whole_dataset(&file, &format!("{group}/timestamps"))?;
         times.expect_shape(&[frames]).map_err(unreadable)?;
         let times: Vec<f64> = times.read().map_err(unreadable)?;

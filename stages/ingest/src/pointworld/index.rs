@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use rogs_worker::StageResult;
+use rogs_worker::{StageError, StageResult};
 
 use super::clips::{episodes_of_shard, is_shard};
 use super::{ROLES, role_of};
@@ -41,6 +41,28 @@ pub fn list_references(root: &Path) -> StageResult<ReferenceFiles> {
             .or_insert(shard);
     }
     Ok(found)
+}
+
+/// The error for a folder of caches that is given as one of episodes; `None` for all others.
+pub(crate) fn refusal(root: &Path) -> Option<StageError> {
+    let (mut found, mut shards) = (ReferenceFiles::new(), Vec::new());
+    walk(root, root, 0, &mut found, &mut shards).ok()?;
+    if found.is_empty()
+        && !shards
+            .iter()
+            .any(|shard| episodes_of_shard(&root.join(shard)).is_ok_and(|of| !of.is_empty()))
+    {
+        return None;
+    }
+    let text = format!(
+        "`{}` holds caches of PointWorld and no episodes: of every clip they have one image a fixed camera and none of the \
+         wrist, so that nothing can be lifted from them alone",
+        root.display()
+    );
+    Some(StageError::bad_input(text).with_hint(
+        "set `root` under [input] to the raw episodes of the same uuids (docs/droid.md), and `pointworld` to this folder \
+         (docs/pointworld.md)",
+    ))
 }
 
 fn walk(

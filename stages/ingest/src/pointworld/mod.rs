@@ -16,6 +16,7 @@ use rogs_schemas::{RigidPose, WrittenPose};
 use rogs_worker::StageResult;
 
 pub(crate) use self::depth::read_cached;
+pub(crate) use self::index::refusal;
 pub use self::index::{ReferenceFiles, list_references};
 use crate::assemble;
 use crate::fault::wrong;

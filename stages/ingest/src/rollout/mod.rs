@@ -5,6 +5,7 @@
 //! become the clip's observations; recorded frames, reference depth and tracks stay what they are.
 
 mod grid;
+mod pairing;
 mod place;
 
 use std::path::Path;
@@ -29,6 +30,8 @@ pub(crate) struct Wanted<'a> {
     pub(crate) frames: u32,
     /// Episode frame of clip frame 0.
     pub(crate) start: EpisodeFrame,
+    /// Episode frames from one clip frame to the next.
+    pub(crate) step: u32,
     /// Frames per second of the clip.
     pub(crate) fps: f64,
 }
@@ -60,6 +63,15 @@ pub(crate) fn read(
         check_length(footage, own, wanted, options)?;
         let range = (options.first_frame, own, wanted.frames);
         read_footage(footage, range, &sources, cameras, params, &mut warnings)?;
+    }
+    if options.min_first_frame_psnr_db > 0.0
+        && let Some(instead) = pairing::instead(wanted, &sources, cameras, params)?
+    {
+        let what = format!(
+            "its first frame is not the first recorded one of camera `{}` ({:.1} dB) but {} ({:.1} dB)",
+            cameras[instead.camera].id, instead.db[0], instead.what, instead.db[1]
+        );
+        return Err(wrong(path, what).with_hint(instead.hint));
     }
     let first_frame_psnr_db = compare_first(path, cameras, params)?;
     let rollout = Rollout {

@@ -267,3 +267,14 @@ pub(crate) fn inverse_pose(cached: &Cached, index: usize) -> [[f64; 4]; 4] {
 fn rows(matrix: &[f64; 16]) -> [[f64; 4]; 4] {
     [0, 4, 8, 12].map(|row| [matrix[row], matrix[row + 1], matrix[row + 2], matrix[row + 3]])
 }
+
+#[test]
+fn caches_in_the_place_of_episodes_are_refused_by_name() {
+    let cached = Cached::new();
+    let error = rogs_ingest::list_episodes(&cached.path("cache")).unwrap_err();
+    assert!(
+        error.message.contains("caches of PointWorld and no episodes") && error.hint.unwrap().contains("`pointworld`"),
+        "{}",
+        error.message
+    );
+}

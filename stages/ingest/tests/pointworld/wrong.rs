@@ -156,6 +156,13 @@ fn depth() {
         );
     });
     has(&aspect, &["maps of 56x42, the images of camera `ext1` are 70x42"]);
+    for shape in [[33, 0, 70], [33, 42, 0], [33, 0, 0]] {
+        let empty = with(&|root| {
+            root.group("ext1+ext")
+                .dataset("depth", &shape, Hdf5Kind::U16, Vec::new(), Some(true));
+        });
+        has(&empty, &["pixels: impossible"]);
+    }
     let clock = with(&|root| {
         let times: Vec<u8> = (0..33_i64)
             .flat_map(|frame| (1_690_000_000_000 + 66 * frame).to_le_bytes())

@@ -18,6 +18,7 @@ use crate::calibration::Calibration;
 use crate::fault::wrong;
 use crate::images::{FrameOrder, FrameSource};
 use crate::layouts::calibration_names;
+use crate::params::DroidParams;
 use crate::source::{SourceCamera, SourceMount};
 
 /// A camera of the episode that can be used.
@@ -43,12 +44,7 @@ pub(super) fn find_cameras(
         };
         match eyes::open(root, serial)? {
             None => {
-                let svo = root.join(format!("recordings/SVO/{serial}.svo")).is_file();
-                let way = if svo {
-                    "convert its SVO file with the ZED SDK"
-                } else {
-                    RELEASE
-                };
+                let way = if has_svo(root, serial) { SVO } else { RELEASE };
                 warnings.push(format!(
                     "camera `{id}` ({serial}) is left out: there is no `{}/{serial}.mp4` and no `{serial}-stereo.mp4`; {way}",
                     VIDEOS
@@ -62,9 +58,26 @@ pub(super) fn find_cameras(
         }
     }
     if found.is_empty() {
-        return Err(wrong(&root.join(VIDEOS), "there is no video of any camera of the episode").with_hint(RELEASE));
+        let svo = serials.iter().flatten().any(|serial| has_svo(root, serial));
+        let (what, way) = if svo {
+            ("there is no video of any camera of the episode, only SVO files", SVO)
+        } else {
+            ("there is no video of any camera of the episode", RELEASE)
+        };
+        return Err(wrong(&root.join(VIDEOS), what).with_hint(way));
     }
     Ok(found)
+}
+
+/// What becomes of SVO files.
+const SVO: &str = "SVO files are not read, since only the ZED SDK decodes them: export left and right side by side with its \
+                   sample `svo export`, and save that as recordings/MP4/SERIAL-stereo.mp4";
+
+/// Whether a camera has its recording in the maker's own form.
+fn has_svo(root: &Path, serial: &str) -> bool {
+    ["svo", "svo2"]
+        .iter()
+        .any(|ending| root.join(format!("recordings/SVO/{serial}.{ending}")).is_file())
 }
 
 /// Puts cameras together and keeps what is to be said.
@@ -75,8 +88,7 @@ pub(super) struct Builder<'a> {
     pub(super) metadata: &'a Metadata,
     pub(super) calibrations: &'a Calibrations,
     pub(super) flanges: &'a [Pose<Base, Link>],
-    pub(super) link: &'a str,
-    pub(super) right_eyes: bool,
+    pub(super) params: &'a DroidParams,
     pub(super) notes: &'a mut Vec<String>,
     pub(super) warnings: &'a mut Vec<String>,
 }
@@ -174,7 +186,7 @@ impl<'a> Builder<'a> {
         let times_ms: Option<Vec<f64>> =
             times.and_then(|times| frames.iter().map(|&frame| times.get(frame as usize).copied()).collect());
         let right = match &camera.eyes.right {
-            Some(eye) if self.right_eyes => {
+            Some(eye) if self.params.right_eyes => {
                 let (measured, odd) = mounts::measured_baseline(self.named(&camera), &camera.log)?;
                 let (metres, guess) = lenses::baseline(&asked, measured, published)?;
                 self.warnings.extend(odd.into_iter().chain(guess));
@@ -220,12 +232,15 @@ impl<'a> Builder<'a> {
             };
             self.warnings.extend(hand_eye.warnings);
             let mount = SourceMount::HandEye {
-                link: self.link.to_owned(),
+                link: self.params.flange_link.clone(),
                 link_from_camera: hand_eye.pose.to_rigid(),
             };
             return Ok(Some((mount, hand_eye.origin)));
         }
-        let Some(external) = mounts::external(named, six, &camera.log, published)? else {
+        let Some(external) = mounts::external(named, six, &camera.log, (published, &self.params.quality))? else {
+            if let Some(published) = published {
+                self.warnings.extend(published.only_between_cameras(self.uuid, serial)?);
+            }
             self.warnings.push(format!(
                 "camera `{id}` ({serial}) is left out: neither metadata nor HDF5 has its pose; give the published \
                  `cam2base_extrinsics.json` or `cam2base_extrinsic_superset.json` in a calibration folder (docs/droid.md)"

@@ -20,6 +20,8 @@ pub(super) struct Metadata {
     pub(super) uuid: Option<String>,
     pub(super) current_task: Option<String>,
     pub(super) robot_serial: Option<String>,
+    /// `LAB/OUTCOME/DATE/TIME/trajectory.h5`.
+    pub(super) hdf5_path: Option<String>,
     pub(super) trajectory_length: Option<u64>,
     pub(super) wrist_cam_serial: Option<Serial>,
     pub(super) ext1_cam_serial: Option<Serial>,

@@ -49,8 +49,17 @@ pub(crate) fn open(root: &Path, calibration: Option<&Path>, params: &Params) -> 
     if !path.is_file() {
         return Err(wrong(&path, "this raw DROID episode has no joint states").with_hint(RELEASE));
     }
-    let trajectory = Trajectory::open(&path)?;
+    let mut trajectory = Trajectory::open(&path)?;
     let mut warnings = Vec::new();
+    if let Some(published) = published {
+        let own = root.canonicalize().ok().and_then(|root| tree::place(&root));
+        let place = own.or_else(|| tree::place_within(metadata.hdf5_path.as_deref()?));
+        if let Some(kept) = published.kept(place.as_deref())? {
+            for (step, idle) in trajectory.idle.iter_mut().enumerate() {
+                *idle |= !kept.iter().any(|[start, end]| (start..end).contains(&&step));
+            }
+        }
+    }
     if let Some(length) = metadata
         .trajectory_length
         .filter(|&length| length != trajectory.steps as u64)
@@ -72,8 +81,7 @@ pub(crate) fn open(root: &Path, calibration: Option<&Path>, params: &Params) -> 
         metadata: &metadata,
         calibrations: &calibrations,
         flanges: &flanges.poses,
-        link: &params.droid.flange_link,
-        right_eyes: params.droid.right_eyes,
+        params: &params.droid,
         notes: &mut notes,
         warnings: &mut warnings,
     };

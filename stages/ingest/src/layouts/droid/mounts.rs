@@ -1,6 +1,7 @@
 //! Poses of the cameras: fixed ones of the external cameras, the hand-eye of the wrist camera, and what gives wrong
 //! ones away.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use rogs_geometry::{Base, Camera, Link, Pose};
@@ -8,10 +9,11 @@ use rogs_schemas::Intrinsics;
 use rogs_worker::StageResult;
 
 use super::metadata::Metadata;
-use super::published::Published;
+use super::published::{Poses, Published};
 use super::trajectory::CameraLog;
 use crate::checks;
 use crate::fault::wrong;
+use crate::params::Quality;
 
 /// Poses that are the same differ by no more, metres and radians: files keep seven digits.
 const SAME: [f64; 2] = [1e-4, 1e-4];
@@ -52,15 +54,15 @@ pub(super) fn external(
     named: Named<'_>,
     metadata: Option<[f64; 6]>,
     log: &CameraLog,
-    published: Option<&Published>,
+    (published, asked): (Option<&Published>, &BTreeMap<String, Quality>),
 ) -> StageResult<Option<Mounted<Pose<Base, Camera>>>> {
     let Named { id, serial, uuid, path } = named;
     let later = match published {
-        Some(published) => published.pose(uuid, serial)?,
-        None => None,
+        Some(published) => published.pose(uuid, serial, asked)?,
+        None => Poses::default(),
     };
     let logged = log.left.as_ref().and_then(|rows| rows.first());
-    let mut warnings = Vec::new();
+    let mut warnings = later.refused;
     if let (Some(rows), Some(first)) = (&log.left, logged) {
         let first: Pose<Base, Camera> = pose_of(first);
         if rows.iter().any(|row| differ(&first, &pose_of(row), SAME)) {
@@ -71,7 +73,7 @@ pub(super) fn external(
         }
     }
     let what = format!("the pose of camera `{id}` ({serial})");
-    let (rigid, origin) = match (later, metadata, logged) {
+    let (rigid, origin) = match (later.taken, metadata, logged) {
         (Some((pose, file)), _, _) => (pose, format!("published ({file})")),
         (None, Some(six), _) => (checks::euler_pose(&six, &what, path)?, "metadata".to_owned()),
         (None, None, Some(six)) => (checks::euler_pose(six, &what, path)?, "HDF5".to_owned()),

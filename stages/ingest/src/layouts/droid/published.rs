@@ -1,6 +1,7 @@
 //! Calibrations that were published after the data: a folder with the files of the annotation release, factory
 //! calibrations of the cameras (`SNserial.conf`), and hand-eyes by robot. All are joined by the episode's uuid or by serial.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::fs::File;
 use std::io::BufReader;
@@ -17,6 +18,7 @@ use super::{tree, zed};
 use crate::calibration::Calibration;
 use crate::checks;
 use crate::fault::{io_error, wrong};
+use crate::params::Quality;
 
 /// Extrinsics files, the better one first.
 const POSES: [&str; 2] = ["cam2base_extrinsic_superset.json", "cam2base_extrinsics.json"];
@@ -25,6 +27,12 @@ const SERIALS: &str = "camera_serials.json";
 const PLACES: &str = "episode_id_to_path.json";
 const LANGUAGE: &str = "droid_language_annotations.json";
 const HAND_EYES: &str = "gripper2wrist_transforms.json";
+/// Poses of one external camera in the other.
+const BETWEEN: &str = "cam2cam_extrinsics.json";
+/// Steps that are not idle, by `FOLDER--FILE` of an episode: `[[start, end), ...]`. The version is in the name.
+const KEPT: &str = "keep_ranges";
+/// Numbers of a calibration's quality that are kept at most.
+const MAX_NUMBERS: usize = 16;
 
 /// What calibrates an episode besides its own files.
 pub(super) struct Calibrations {
@@ -74,11 +82,14 @@ impl Published {
             .into_iter()
             .chain([INTRINSICS, SERIALS, PLACES, LANGUAGE, HAND_EYES]);
         let any = known.into_iter().any(|name| folder.join(name).is_file());
-        let entries = std::fs::read_dir(folder).map_err(|error| io_error(folder, &error))?;
         let conf = |name: &str| name.starts_with("SN") && name.ends_with(".conf");
-        let mut names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
-        if any || names.any(|name| conf(&name)) {
+        if any || names(folder)?.iter().any(|name| conf(name) || is_kept(name)) {
             return Ok(published);
+        }
+        if folder.join(BETWEEN).is_file() {
+            return Err(
+                wrong(&folder.join(BETWEEN), NOT_TO_BASE).with_hint(format!("add {} and {}", POSES[0], POSES[1]))
+            );
         }
         Err(StageError::bad_input(format!(
             "`{}` holds no calibration of DROID that is known",
@@ -113,14 +124,15 @@ impl Published {
         ))
     }
 
-    /// Camera-to-base pose of the left eye of an external camera, and where it comes from.
-    pub(super) fn pose(&self, uuid: &str, serial: &str) -> StageResult<Option<(RigidPose, &'static str)>> {
+    /// Camera-to-base pose of the left eye of an external camera: the first one whose quality is as asked.
+    pub(super) fn pose(&self, uuid: &str, serial: &str, asked: &BTreeMap<String, Quality>) -> StageResult<Poses> {
+        let mut found = Poses::default();
         for name in POSES {
             let Some((_, entry)) = self.find(name, Wanted::Key(uuid))? else {
                 continue;
             };
-            let found = [serial.to_owned(), format!("{serial}_left")];
-            let Some(value) = found.iter().find_map(|key| entry.get(key)) else {
+            let keys = [serial.to_owned(), format!("{serial}_left")];
+            let Some(value) = keys.iter().find_map(|key| entry.get(key)) else {
                 continue;
             };
             let numbers = numbers(value.get("extrinsics").unwrap_or(value));
@@ -128,9 +140,56 @@ impl Published {
             let Some(Ok(six)) = numbers.map(<[f64; 6]>::try_from) else {
                 return Err(self.wrong(name, format!("{what} is not a list of 6 numbers")));
             };
-            return Ok(Some((checks::euler_pose(&six, &what, &self.folder.join(name))?, name)));
+            let pose = checks::euler_pose(&six, &what, &self.folder.join(name))?;
+            let quality = quality(&entry, value, serial);
+            match asked.iter().find_map(|(key, asked)| asked.misses(key, &quality)) {
+                Some(why) => found
+                    .refused
+                    .push(format!("the pose of camera {serial} in `{name}` is not taken: {why}")),
+                None => {
+                    let numbers: Vec<String> = quality
+                        .iter()
+                        .map(|(key, number)| format!(", {key} {number}"))
+                        .collect();
+                    found.taken = Some((pose, format!("{name}{}", numbers.concat())));
+                    break;
+                }
+            }
         }
-        Ok(None)
+        Ok(found)
+    }
+
+    /// What is to be said of an external camera whose pose is not there, but that stands in the file of poses between
+    /// cameras.
+    pub(super) fn only_between_cameras(&self, uuid: &str, serial: &str) -> StageResult<Option<String>> {
+        let found = self.find(BETWEEN, Wanted::Key(uuid))?;
+        let named = found.is_some_and(|(_, entry)| entry.to_string().contains(serial));
+        Ok(named.then(|| format!("`{BETWEEN}` has camera {serial}, but is not read: {NOT_TO_BASE}")))
+    }
+
+    /// Steps of an episode that are not idle, as intervals that end before their second number; `None` where it is not
+    /// listed.
+    pub(super) fn kept(&self, place: Option<&str>) -> StageResult<Option<Vec<[usize; 2]>>> {
+        let names = names(&self.folder)?;
+        let (Some(place), Some(name)) = (place, names.iter().find(|name| is_kept(name))) else {
+            return Ok(None);
+        };
+        let here = |key: &str| {
+            let folder = key.split("--").next().unwrap_or(key);
+            tree::place_within(folder).as_deref() == Some(place)
+        };
+        let Some((_, value)) = self.find(name, Wanted::Named(&here))? else {
+            return Ok(None);
+        };
+        let pair = |pair: &Value| {
+            let [start, end] = <[f64; 2]>::try_from(numbers(pair)?).ok()?;
+            let whole = |number: f64| (0.0..1e9).contains(&number) && number.fract() == 0.0;
+            (whole(start) && whole(end) && start <= end).then_some([start as usize, end as usize])
+        };
+        let ranges: Option<Vec<[usize; 2]>> = value.as_array().and_then(|pairs| pairs.iter().map(pair).collect());
+        ranges
+            .map(Some)
+            .ok_or_else(|| self.wrong(name, format!("the entry of {place} is no list of [start, end)")))
     }
 
     /// Intrinsics of a camera with integer pixel centres, and the image size that they belong to. `None` also for those
@@ -212,6 +271,75 @@ impl Published {
     }
 }
 
+/// Why poses between cameras calibrate nothing here.
+const NOT_TO_BASE: &str = "it has poses of one external camera in the other, and none in the robot's base";
+
+/// What is known of a camera's pose.
+#[derive(Debug, Default)]
+pub(super) struct Poses {
+    /// The pose, with its file and the numbers of its quality in words.
+    pub(super) taken: Option<(RigidPose, String)>,
+    /// Poses that were not good enough, in words.
+    pub(super) refused: Vec<String>,
+}
+
+impl Quality {
+    /// Why a calibration with these numbers is not as asked; `None` when it is.
+    fn misses(&self, key: &str, numbers: &BTreeMap<String, f64>) -> Option<String> {
+        let Some(&number) = numbers.get(key) else {
+            let known: Vec<&str> = numbers.keys().map(String::as_str).collect();
+            let known = if known.is_empty() {
+                "no numbers of quality".to_owned()
+            } else {
+                known.join(", ")
+            };
+            return Some(format!("`quality.{key}` is asked for, and it has {known}"));
+        };
+        let at_least = self
+            .min
+            .filter(|&min| number < min)
+            .map(|min| format!("{key} {number} is below {min}"));
+        at_least.or_else(|| {
+            self.max
+                .filter(|&max| number > max)
+                .map(|max| format!("{key} {number} is above {max}"))
+        })
+    }
+}
+
+/// The numbers beside a camera's pose: those of the episode, and those that name the camera or lie in its entry.
+fn quality(episode: &Value, camera: &Value, serial: &str) -> BTreeMap<String, f64> {
+    let mut found = BTreeMap::new();
+    let fields = [episode, camera].into_iter().filter_map(Value::as_object).flatten();
+    for (key, value) in fields {
+        let Some(number) = value.as_f64() else { continue };
+        let name = key.replace(serial, "").trim_matches(['_', '-', '+', ' ']).to_owned();
+        // A serial that is still there is that of another camera.
+        let other = name
+            .split(|character: char| !character.is_ascii_digit())
+            .any(|digits| digits.len() >= 6);
+        if !name.is_empty() && !other && found.len() < MAX_NUMBERS {
+            found.insert(name, number);
+        }
+    }
+    found
+}
+
+/// Names in a folder.
+fn names(folder: &Path) -> StageResult<Vec<String>> {
+    let entries = std::fs::read_dir(folder).map_err(|error| io_error(folder, &error))?;
+    let mut names: Vec<String> = entries
+        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
+        .collect();
+    names.sort();
+    Ok(names)
+}
+
+/// `keep_ranges_1_0_1.json`
+fn is_kept(name: &str) -> bool {
+    name.starts_with(KEPT) && name.ends_with(".json")
+}
+
 /// Intrinsics and the width and height of the images they belong to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Lens {
@@ -278,6 +406,7 @@ fn numbers(value: &Value) -> Option<Vec<f64>> {
 /// Which entry of a table is wanted.
 enum Wanted<'a> {
     Key(&'a str),
+    Named(&'a dyn Fn(&str) -> bool),
     Fits(&'a dyn Fn(&Value) -> bool),
 }
 
@@ -301,6 +430,7 @@ impl<'de> Visitor<'de> for Wanted<'_> {
         while let Some(key) = map.next_key::<String>()? {
             match self {
                 Self::Key(wanted) if found.is_none() && key == wanted => found = Some((key, map.next_value()?)),
+                Self::Named(fits) if found.is_none() && fits(&key) => found = Some((key, map.next_value()?)),
                 Self::Fits(fits) if found.is_none() => {
                     let value = map.next_value()?;
                     found = fits(&value).then_some((key, value));
@@ -353,6 +483,78 @@ mod tests {
         );
         let matrix = json!({"cameraMatrix": [[524.3, 0, 639.8], [0, 524.5, 370.3], [0, 0, 1]]});
         assert_eq!(of(matrix).unwrap().intrinsics, expected);
+    }
+
+    #[test]
+    fn numbers_of_quality_are_found_and_gate_a_pose() {
+        let folder = tempfile::tempdir().unwrap();
+        let six = [0.3, -0.6, 0.5, -2.0, 0.1, 2.5];
+        let table = json!({"LAB+a+1": {
+            "relative_path": "LAB/success", "24400334": six, "24400334_iou": 0.62, "22008760": six, "22008760_iou": 0.91,
+            "loss": 0.25
+        }});
+        rogs_files::write_bytes(&folder.path().join(POSES[0]), table.to_string().as_bytes()).unwrap();
+        let good = json!({"LAB+a+1": {"24400334": {"extrinsics": six, "iou": 0.83}}});
+        rogs_files::write_bytes(&folder.path().join(POSES[1]), good.to_string().as_bytes()).unwrap();
+        let published = Published::open(folder.path()).unwrap();
+        let asked = |key: &str, min: Option<f64>, max: Option<f64>| {
+            let asked = BTreeMap::from([(key.to_owned(), Quality { min, max })]);
+            published.pose("LAB+a+1", "24400334", &asked).unwrap()
+        };
+        let none = published.pose("LAB+a+1", "24400334", &BTreeMap::new()).unwrap();
+        assert_eq!(none.taken.unwrap().1, format!("{}, iou 0.62, loss 0.25", POSES[0]));
+        // The better file's pose is not good enough, the other one's is.
+        let better = asked("iou", Some(0.7), None);
+        assert_eq!(better.taken.unwrap().1, format!("{}, iou 0.83", POSES[1]));
+        assert!(
+            better.refused[0].contains("iou 0.62 is below 0.7"),
+            "{:?}",
+            better.refused
+        );
+        assert!(asked("loss", None, Some(0.1)).taken.is_none());
+        let unknown = asked("overlap", Some(0.1), None);
+        assert!(
+            unknown.taken.is_none() && unknown.refused[0].contains("it has iou, loss"),
+            "{:?}",
+            unknown.refused
+        );
+    }
+
+    #[test]
+    fn ranges_that_are_kept_are_joined_by_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |time: &str| format!("gs://x/r2d2/LAB/success/2023-07-07/{time}");
+        let key = |time: &str| format!("{}/recordings/MP4--{}/trajectory.h5", at(time), at(time));
+        let table =
+            json!({key("Fri_Jul__7_09:42:23_2023"): [[3, 40], [50, 61]], key("Fri_Jul__7_10:00:00_2023"): [[5, 2]]});
+        rogs_files::write_bytes(
+            &folder.path().join("keep_ranges_1_0_1.json"),
+            table.to_string().as_bytes(),
+        )
+        .unwrap();
+        let published = Published::open(folder.path()).unwrap();
+        let kept = |place: &str| published.kept(Some(place));
+        let here = "LAB/success/2023-07-07/Fri_Jul_7_09_42_23_2023";
+        assert_eq!(kept(here).unwrap(), Some(vec![[3, 40], [50, 61]]));
+        assert_eq!(kept("LAB/failure/2023-07-07/Fri_Jul_7_09_42_23_2023").unwrap(), None);
+        let error = kept("LAB/success/2023-07-07/Fri_Jul_7_10_00_00_2023").unwrap_err();
+        assert!(error.message.contains("no list of [start, end)"), "{error}");
+    }
+
+    #[test]
+    fn poses_between_cameras_alone_are_refused_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let table = json!({"LAB+a+1": {"24400334-22008760": [0.0]}}).to_string();
+        rogs_files::write_bytes(&folder.path().join(BETWEEN), table.as_bytes()).unwrap();
+        let error = Published::open(folder.path()).unwrap_err();
+        assert!(
+            error.message.contains(BETWEEN) && error.message.contains("none in the robot's base"),
+            "{error}"
+        );
+        rogs_files::write_bytes(&folder.path().join(SERIALS), b"{}").unwrap();
+        let published = Published::open(folder.path()).unwrap();
+        assert!(published.only_between_cameras("LAB+a+1", "24400334").unwrap().is_some());
+        assert!(published.only_between_cameras("LAB+a+1", "24400335").unwrap().is_none());
     }
 
     #[test]

@@ -1,8 +1,9 @@
-//! Finding episodes in a tree `LAB/{success,failure}/DATE/TIME/` by names alone: no file is opened, and every folder is
-//! listed once, so that the whole of DROID takes seconds.
+//! Finding episodes in a tree `LAB/{success,failure}/DATE/TIME/` by names alone: no file is opened, every folder is
+//! listed once, and many days at a time, since a folder that is not in memory is waited for.
 
 use std::path::{Path, PathBuf};
 
+use rayon::prelude::*;
 use rogs_worker::StageResult;
 
 use crate::fault::io_error;
@@ -20,6 +21,9 @@ const OUTCOMES: [&str; 2] = ["success", "failure"];
 const LEVELS: usize = 3;
 /// More folders than this on the way to the first laboratory are no DROID tree.
 const MAX_FOLDERS: usize = 4096;
+
+/// Days that are listed at a time: more than there are cores, since they wait for the disk.
+const READERS: usize = 16;
 
 /// An episode in a tree.
 #[derive(Debug, PartialEq, Eq)]
@@ -60,8 +64,19 @@ pub(crate) fn episodes(root: &Path) -> StageResult<Vec<Found>> {
     if is_episode(root) {
         found.push(episode(&here)?);
     } else {
-        let mut left = MAX_FOLDERS;
-        look(&here, LEVELS, &mut left, &mut found)?;
+        let (mut left, mut days) = (MAX_FOLDERS, Vec::new());
+        look(here, LEVELS, &mut left, &mut days)?;
+        let list = || -> Vec<StageResult<Vec<Found>>> { days.par_iter().map(episodes_of_day).collect() };
+        let listed = match rayon::ThreadPoolBuilder::new()
+            .num_threads(READERS.min(days.len().max(1)))
+            .build()
+        {
+            Ok(pool) => pool.install(list),
+            Err(_) => list(),
+        };
+        for day in listed {
+            found.extend(day?);
+        }
     }
     found.sort_by(|a, b| a.folder.cmp(&b.folder));
     Ok(found)
@@ -108,24 +123,22 @@ impl Here {
     }
 }
 
-/// Looks for laboratories, outcomes and days from an unknown level on.
-fn look(here: &Here, levels: usize, left: &mut usize, found: &mut Vec<Found>) -> StageResult<()> {
-    let name = here.path.file_name().unwrap_or_default().to_string_lossy();
+/// Looks for laboratories, outcomes and days from an unknown level on; gives the days.
+fn look(here: Here, levels: usize, left: &mut usize, days: &mut Vec<Here>) -> StageResult<()> {
+    let name = here.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    if is_date(&name) {
+        days.push(here);
+        return Ok(());
+    }
     let (folders, _) = here.list()?;
     if OUTCOMES.contains(&&*name) {
-        return folders
-            .iter()
-            .try_for_each(|day| episodes_of_day(&here.below(day), found));
-    }
-    if is_date(&name) {
-        return episodes_of_day(here, found);
+        days.extend(folders.iter().map(|day| here.below(day)));
+        return Ok(());
     }
     if folders.iter().any(|folder| OUTCOMES.contains(&folder.as_str())) {
         for outcome in folders.iter().filter(|folder| OUTCOMES.contains(&folder.as_str())) {
             let outcome = here.below(outcome);
-            for day in outcome.list()?.0 {
-                episodes_of_day(&outcome.below(&day), found)?;
-            }
+            days.extend(outcome.list()?.0.iter().map(|day| outcome.below(day)));
         }
         return Ok(());
     }
@@ -133,22 +146,23 @@ fn look(here: &Here, levels: usize, left: &mut usize, found: &mut Vec<Found>) ->
         if levels == 0 || *left == 0 {
             return Ok(());
         }
-        if found.is_empty() {
+        if days.is_empty() {
             *left -= 1;
         }
-        look(&here.below(folder), levels - 1, left, found)?;
+        look(here.below(folder), levels - 1, left, days)?;
     }
     Ok(())
 }
 
-fn episodes_of_day(day: &Here, found: &mut Vec<Found>) -> StageResult<()> {
+fn episodes_of_day(day: &Here) -> StageResult<Vec<Found>> {
+    let mut found = Vec::new();
     for time in day.list()?.0 {
         let episode = episode(&day.below(&time))?;
         if !episode.files.is_empty() {
             found.push(episode);
         }
     }
-    Ok(())
+    Ok(found)
 }
 
 /// What the folder of an episode holds; other folders have no files.
@@ -159,10 +173,14 @@ fn episode(here: &Here) -> StageResult<Found> {
     files.extend(names.iter().find(|name| *name == TRAJECTORY).cloned());
     if folders.iter().any(|folder| folder == "recordings") && !files.is_empty() {
         let videos = here.below("recordings").below("MP4");
-        if videos.path.is_dir() {
-            let videos = videos.list()?.1.into_iter().filter(|name| name.ends_with(".mp4"));
-            files.extend(videos.map(|name| format!("{VIDEOS}/{name}")));
-        }
+        // Without a look before: one question less to the disk.
+        let videos = match videos.list() {
+            Ok((_, names)) => names,
+            Err(_) if !videos.path.is_dir() => Vec::new(),
+            Err(error) => return Err(error),
+        };
+        let videos = videos.into_iter().filter(|name| name.ends_with(".mp4"));
+        files.extend(videos.map(|name| format!("{VIDEOS}/{name}")));
     }
     let time = || here.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     Ok(Found {
@@ -189,6 +207,12 @@ pub(super) fn place(path: &Path) -> Option<String> {
     (OUTCOMES.contains(&outcome.as_str()) && is_date(date)).then(|| format!("{lab}/{outcome}/{date}/{}", spelled(time)))
 }
 
+/// The place of the episode in a path that goes on below it, such as that of its videos or its trajectory.
+pub(super) fn place_within(path: &str) -> Option<String> {
+    let path = Path::new(path.trim_end_matches('/'));
+    path.ancestors().take(4).find_map(place)
+}
+
 fn spelled(time: &str) -> String {
     let parts = time.split([':', ' ', '_']).filter(|part| !part.is_empty());
     parts.collect::<Vec<_>>().join("_")
@@ -212,6 +236,9 @@ mod tests {
             assert_eq!(of(time), one);
         }
         assert_eq!(place(Path::new("/x/episodes/one")), None);
+        let below = "gs://bucket/r2d2/AUTOLab/success/2023-07-07/Fri_Jul__7_09:42:23_2023/recordings/MP4/";
+        assert_eq!(place_within(below).as_deref(), Some(one));
+        assert_eq!(place_within("recordings/MP4"), None);
     }
 
     #[test]
