@@ -11,9 +11,9 @@ use crate::shift::{ImageShift, common_shift};
 use crate::view::View;
 
 /// Fewer pixels of the robot tell nothing.
-const FEWEST_PIXELS: usize = 120;
+pub(crate) const FEWEST_PIXELS: usize = 120;
 /// Images with a smaller standard deviation of brightness are blank, grey values.
-const BLANK: f64 = 2.0;
+pub(crate) const BLANK: f64 = 2.0;
 
 /// Whether the drawn robot lies on that of the image.
 #[derive(Debug, Clone, PartialEq)]

@@ -8,6 +8,7 @@
 //! Images are `[H, W, 3]` and maps `[H, W]`, row-major; image points are in pixels with pixel centres at `+ 0.5`.
 
 mod agreement;
+pub mod audit;
 mod colour;
 mod contour;
 mod measure;

@@ -1,5 +1,7 @@
 //! Procedural episodes with the robot drawn by the product's own rasteriser.
 
+#![allow(dead_code, reason = "each test uses a part")]
+
 use rogs_geometry::{Base, Camera, Link, Pinhole, Pose, PosedCamera};
 use rogs_robot::{MeshImage, MeshScene, RenderOptions, RobotModel};
 use rogs_schemas::records::robot::RobotSpec;
