@@ -326,9 +326,18 @@ fn sweep(seeds: std::ops::Range<u64>) -> Vec<(&'static str, [usize; 3])> {
 #[test]
 fn planted_mistakes_are_found_and_named() {
     let long = std::env::var_os("ROGS_LONG_TESTS").is_some();
-    let seeds = if long { 0..20 } else { 0..2 };
-    let table = sweep(seeds);
-    for row in &table {
-        println!("{row:?}");
+    let table = sweep(if long { 0..20 } else { 0..2 });
+    for (kind, [clips, flagged, named]) in table {
+        let share = |count: usize| count as f64 / clips as f64;
+        println!("{kind}: {flagged} of {clips} flagged, {named} named right");
+        match kind {
+            "right" => assert!(share(flagged) <= 0.02, "{flagged} false alarms"),
+            // Reported, not held: the search does not reach them yet (docs/spec/agreement.md section 7).
+            "wrong-hand-eye" | "wrist-drift" | "time-offset" => {}
+            _ => assert!(
+                share(flagged) >= 0.95 && share(named) >= 0.9,
+                "{kind}: {flagged}, {named} of {clips}"
+            ),
+        }
     }
 }

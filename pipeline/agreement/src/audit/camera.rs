@@ -192,7 +192,7 @@ impl Found {
             LONGEST_DELAY.min((count as i64 - 1) / 3)
         };
         let inner: Vec<usize> = (reach as usize..count.saturating_sub(reach as usize)).collect();
-        let inner: Vec<usize> = all_frames(inner.len(), 4)
+        let inner: Vec<usize> = all_frames(inner.len(), 6)
             .into_iter()
             .filter_map(|i| inner.get(i).copied())
             .collect();
@@ -201,7 +201,9 @@ impl Found {
         } else {
             let delayed = |delay: i64| Supposed { delay, ..given.clone() };
             let all: Vec<(usize, Supposed)> = (-reach..=reach).map(|delay| (index, delayed(delay))).collect();
-            trials.overlays(&all, &inner)
+            all.par_iter()
+                .map(|(camera, supposed)| trials.overlay(*camera, supposed, &inner, None))
+                .collect()
         };
         let offsets: Vec<[f64; 3]> = trials
             .offsets(index, given, &all_frames(count, 7))
@@ -240,7 +242,8 @@ impl Found {
     /// Looks for a better pose, and for one that changes during the clip, where the camera is not good as it is.
     pub(super) fn refine(&mut self, trials: &Trials<'_>, index: usize, given: &Supposed, frames: &[usize]) {
         let good = self.offset.is_some_and(|offset| offset[0] < 0.8) && self.worst_px < 2.0;
-        if self.why.is_some() || good {
+        let gripper = |tried: &Tried| matches!(tried.mistake, Mistake::GripperSense | Mistake::GripperRange { .. });
+        if self.why.is_some() || good || (self.explained() && self.best().is_some_and(gripper)) {
             return;
         }
         let (refined, [turn, step]) = trials.refine(index, given, frames);

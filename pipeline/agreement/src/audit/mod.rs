@@ -99,14 +99,14 @@ pub fn audit(footage: &Footage<'_>) -> Result<Vec<CameraAudit>> {
         .iter()
         .map(|(index, _, supposed)| (*index, supposed.clone()))
         .collect();
-    let overlays = trials.overlays(&looks, &frames);
+    let overlays = trials.overlays(&looks, &given, &frames);
     for ((index, mistake, _), overlay) in tried.into_iter().zip(overlays) {
         found[index].tried.push(Tried { mistake, overlay });
     }
     camera::agree_on_states(&mut found);
+    camera::look_at_gripper(footage, &given, &mut found)?;
     for (index, found) in found.iter_mut().enumerate() {
         found.refine(&trials, index, &given[index], &frames);
     }
-    camera::look_at_gripper(footage, &given, &mut found)?;
     Ok(found.into_iter().map(Found::verdict).collect())
 }

@@ -6,8 +6,11 @@ use super::footage::Footage;
 use super::mistake::Mistake;
 use crate::Result;
 
+/// Link poses under each supposition about the states. `[T][F][L]`
+pub(super) type Tables = Vec<Vec<Vec<Pose<Base, Link>>>>;
+
 /// Other readings of the joint values, each with the link poses that it gives; the first entry is the values as given.
-pub(super) fn readings(footage: &Footage<'_>) -> Result<(Vec<Mistake>, Vec<Vec<Vec<Pose<Base, Link>>>>)> {
+pub(super) fn readings(footage: &Footage<'_>) -> Result<(Vec<Mistake>, Tables)> {
     let names = footage.joint_names;
     let count = names.len();
     let mut mistakes = Vec::new();
@@ -57,7 +60,7 @@ pub(super) fn readings(footage: &Footage<'_>) -> Result<(Vec<Mistake>, Vec<Vec<V
 }
 
 /// Other readings of the gripper states; the first entry of the tables is the states as given.
-pub(super) fn grips(footage: &Footage<'_>) -> Result<(Vec<Mistake>, Vec<Vec<Vec<Pose<Base, Link>>>>)> {
+pub(super) fn grips(footage: &Footage<'_>) -> Result<(Vec<Mistake>, Tables)> {
     let changed = |value: &dyn Fn(f64) -> f64| -> Vec<f64> {
         footage
             .gripper

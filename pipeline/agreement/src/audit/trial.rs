@@ -9,6 +9,7 @@ use rogs_robot::RenderOptions;
 use rogs_robot::raster::Renderer;
 
 use super::footage::{Footage, Mount};
+use super::states::Tables;
 use crate::agreement::median;
 use crate::measure::{EdgeSample, Measurement, Settings, measure};
 use crate::shift::{ImageShift, common_shift};
@@ -44,8 +45,8 @@ pub(super) struct Supposed {
 /// What trials share.
 pub(super) struct Trials<'a> {
     pub footage: &'a Footage<'a>,
-    /// Link poses under each supposition about the states. `[T][F][L]`
-    pub tables: Vec<Vec<Vec<Pose<Base, Link>>>>,
+    /// Link poses to draw the robot with.
+    pub tables: Tables,
 }
 
 /// A view of a trial, measured.
@@ -108,13 +109,24 @@ impl Trials<'_> {
 
     /// Mean overlay of a supposed camera over some frames: 0 where it sees no robot. `links` restricts it to some links.
     pub(super) fn overlay(&self, camera: usize, supposed: &Supposed, frames: &[usize], links: Option<&[bool]>) -> f64 {
+        self.overlay_and_length(camera, supposed, frames, links)[0]
+    }
+
+    /// The same, and the mean number of contour points drawn.
+    fn overlay_and_length(
+        &self,
+        camera: usize,
+        supposed: &Supposed,
+        frames: &[usize],
+        links: Option<&[bool]>,
+    ) -> [f64; 2] {
         let settings = Settings {
             most_samples: 250,
             inner: links.is_some(),
             ..Settings::default()
         };
         let mut renderer = Renderer::new(self.footage.scene);
-        let mut overlays: Vec<f64> = Vec::new();
+        let (mut overlay, mut length, mut count) = (0.0, 0.0, 0.0);
         for &frame in frames {
             let Some(mut seen) = self.look(&mut renderer, camera, supposed, frame, &settings) else {
                 continue;
@@ -123,17 +135,36 @@ impl Trials<'_> {
                 seen.measured.samples.retain(|sample| links[usize::from(sample.link)]);
             }
             let share = (seen.measured.samples.len() as f64 / ENOUGH).min(1.0);
-            overlays.push(seen.measured.overlay(&settings).unwrap_or(0.0) * share);
+            overlay += seen.measured.overlay(&settings).unwrap_or(0.0) * share;
+            length += seen.measured.contour_points as f64;
+            count += 1.0;
         }
-        overlays.iter().sum::<f64>() / overlays.len().max(1) as f64
+        [overlay, length].map(|sum| sum / f64::max(count, 1.0))
     }
 
-    /// Overlays of many suppositions, in their order.
-    pub(super) fn overlays(&self, suppositions: &[(usize, Supposed)], frames: &[usize]) -> Vec<f64> {
-        suppositions
+    /// Overlays of many suppositions, in their order. Other states must draw as much of the robot as the given ones, else
+    /// the overlay counts for less: an arm that leaves the view is not one that fits.
+    pub(super) fn overlays(
+        &self,
+        suppositions: &[(usize, Supposed)],
+        given: &[Supposed],
+        frames: &[usize],
+    ) -> Vec<f64> {
+        let lengths: Vec<f64> = given
             .par_iter()
-            .map(|(camera, supposed)| self.overlay(*camera, supposed, frames, None))
-            .collect()
+            .enumerate()
+            .map(|(camera, given)| self.overlay_and_length(camera, given, frames, None)[1])
+            .collect();
+        let rated = |(camera, supposed): &(usize, Supposed)| {
+            let [overlay, length] = self.overlay_and_length(*camera, supposed, frames, None);
+            let drawn = if supposed.states == 0 {
+                1.0
+            } else {
+                (length / lengths[*camera].max(1.0)).min(1.0)
+            };
+            overlay * drawn
+        };
+        suppositions.par_iter().map(rated).collect()
     }
 
     /// Offsets per frame: length, standard deviation, pixels, and the length in millimetres.
