@@ -7,6 +7,7 @@ mod support;
 
 use std::path::Path;
 
+use rogs_arrays::{NamedArray, write_npz};
 use rogs_needs::needs;
 use rogs_r4c::read_record;
 use rogs_schemas::records::clip::{Clip, time_of_frame};
@@ -38,6 +39,42 @@ fn row<'a>(table: &'a Value, method: &str) -> &'a Value {
     rows.iter()
         .find(|row| row["method"] == method)
         .unwrap_or_else(|| panic!("no row `{method}`: {table:#}"))
+}
+
+/// Means that are NaN: the clip is scored as an empty scene, and the log, which the report repeats, says so.
+#[test]
+fn predictions_that_are_not_finite_are_said() {
+    let workspace = Workspace::small(1);
+    workspace.manifest("predictions.toml", "run");
+    let manifest = std::fs::read_to_string(workspace.path("predictions.toml")).unwrap();
+    let (code, first) = workspace.rogs_json(&["run", "predictions.toml", "--no-report", "--json"]);
+    assert_eq!(code, Some(0), "{first:#}");
+    let clips = std::fs::read_dir(workspace.path("run/clips")).unwrap();
+    let clip = clips.map(|entry| entry.unwrap().file_name()).next().unwrap();
+    let folder = workspace.path("theirs").join(&clip);
+    std::fs::create_dir_all(&folder).unwrap();
+    let frames: Vec<u32> = (0..17).collect();
+    let arrays = [
+        NamedArray::new("frames", &[17], &frames),
+        NamedArray::new("means", &[17, 4, 3], &[f32::NAN; 17 * 4 * 3]),
+        NamedArray::new("quats", &[4, 4], &[1.0_f32, 0.0, 0.0, 0.0].repeat(4)),
+        NamedArray::new("scales", &[4, 3], &[0.01_f32; 12]),
+        NamedArray::new("opacities", &[4], &[0.5_f32; 4]),
+        NamedArray::new("rgb", &[4, 3], &[0.5_f32; 12]),
+    ];
+    write_npz(&folder.join("gaussians.npz"), &arrays).unwrap();
+    workspace.write(
+        "predictions.toml",
+        &(manifest + "\n[[predictions]]\nname = \"theirs\"\nroot = \"theirs\"\n"),
+    );
+    let (code, second) = workspace.rogs_json(&["run", "predictions.toml", "--no-report", "--json"]);
+    assert_eq!(code, Some(0), "{second:#}");
+    let logs = workspace.rogs(&["logs", "run", &clip.to_string_lossy()]).stdout;
+    let logs = String::from_utf8_lossy(&logs).into_owned();
+    assert!(
+        logs.contains("`theirs`: 4 Gaussians have values that are not finite"),
+        "{logs}"
+    );
 }
 
 #[needs(long = "two episodes through every stage, twice")]

@@ -43,7 +43,7 @@ pub fn read_ply_file(path: &Path) -> Result<PlyScene> {
             source,
         }
     };
-    let file = std::fs::File::open(path).map_err(io("opening"))?;
+    let file = rogs_files::open(path).map_err(io("opening"))?;
     let length = file.metadata().map_err(io("reading the size of"))?.len();
     // The header bounds what follows; nothing is allocated beyond the size of the file.
     let mut bytes = Vec::with_capacity(usize::try_from(length).unwrap_or(0).min(1 << 32));

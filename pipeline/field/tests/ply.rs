@@ -267,3 +267,15 @@ fn infinite_logits_are_opacities_of_zero_and_one() {
         );
     }
 }
+
+#[cfg(unix)]
+#[test]
+fn what_is_no_file_is_refused_before_it_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let pipe = folder.path().join("scene.ply");
+    let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+    assert!(made.unwrap().success());
+    for path in [pipe.as_path(), Path::new("/dev/zero"), folder.path()] {
+        assert!(rogs_field::read_ply_file(path).is_err(), "{}", path.display());
+    }
+}

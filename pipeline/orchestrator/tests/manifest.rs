@@ -239,6 +239,12 @@ fn stages_can_be_left_out() {
         &text.replace("out = \"run\"", "out = \"run\"\nstages = [\"robot-maps\"]"),
     );
     assert_eq!(workspace.run().units.total, 6);
+    // A misspelt name in the table of a stage that the run does not reach is one nevertheless.
+    let text = text.replace("out = \"run\"", "out = \"run\"\nstages = [\"robot-maps\"]");
+    workspace.write("toy.toml", &format!("{text}\n[lift]\nno_anchr = true\n"));
+    let (message, hint) = told(&workspace);
+    assert!(message.contains("unknown parameter `no_anchr` of `lift`"), "{message}");
+    assert_eq!(hint, "did you mean `no_anchor`?");
 }
 
 #[test]

@@ -87,7 +87,7 @@ pub fn hash_source(role: &str, path: &Path) -> Result<ContentHash> {
 /// Files that a URDF refers to outside its folder: those of the packages beside it. What cannot be resolved is left to
 /// the stage that reads it, which says so.
 fn refer(urdf: &Path, files: &mut BTreeMap<String, PathBuf>) {
-    let text = std::fs::read(urdf).unwrap_or_default();
+    let text = rogs_files::read(urdf).unwrap_or_default();
     let text = String::from_utf8_lossy(&text);
     let Ok(folder) = rogs_robot_files::RobotFolder::of_urdf(urdf) else {
         return;

@@ -178,11 +178,24 @@ impl<'a> Builder<'a> {
         Ok(self.describe(stage, &Value::Object(Map::new()))?.default_params)
     }
 
-    /// Names in the stages' tables that the stages do not know.
+    /// Names in the stages' tables that the stages do not know, also of stages that this run does not reach.
     fn check_names(&mut self) -> Result<()> {
         let manifest = self.manifest;
-        for stage in self.wanted.clone() {
-            let defaults = self.defaults(stage)?;
+        let has_table = |stage: StageId| {
+            let mut tables = manifest.variants.iter().map(|variant| variant.params(stage));
+            !manifest.params(stage).is_empty() || tables.any(|table| !table.is_empty())
+        };
+        for &stage in StageId::ALL {
+            let wanted = self.wanted.contains(&stage);
+            if !wanted && !has_table(stage) {
+                continue;
+            }
+            let defaults = match self.defaults(stage) {
+                Ok(defaults) => defaults,
+                // What a run does not reach needs no program.
+                Err(_) if !wanted => continue,
+                Err(error) => return Err(error),
+            };
             self.check_table(At::key(stage.name()), manifest.params(stage), &defaults)?;
             for (index, variant) in manifest.variants.iter().enumerate() {
                 let at = Column::Variant(index, variant).at(stage);

@@ -23,7 +23,7 @@ pub(super) fn read_selection(path: &Path, text: &Text, sources: &SourceCache) ->
             .with_hint("`rogs cohort` writes one; paths in a manifest are relative to the manifest's folder"));
     }
     let mut bytes = Vec::new();
-    let read = std::fs::File::open(path).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut bytes));
+    let read = rogs_files::open(path).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut bytes));
     read.map_err(|error| wrong(&error))?;
     if bytes.len() as u64 > MOST_BYTES {
         return Err(wrong(&format!("it has more than {MOST_BYTES} bytes")));
