@@ -93,10 +93,14 @@ impl FrameSource {
             None => error,
         })?;
         if info.frames != u64::from(frame_count) {
-            return Err(wrong(
+            let error = wrong(
                 &path,
                 format!("it has {} frames, the episode {frame_count}", info.frames),
-            ));
+            );
+            return Err(match info.notes.first() {
+                Some(note) => error.with_hint(note.clone()),
+                None => error,
+            });
         }
         info.notes.extend(info.other_rate(fps));
         Ok(Self::Video {
