@@ -76,8 +76,9 @@ pub(crate) fn states(states: &States, row_name: &str, path: &Path) -> StageResul
             if value.abs() > DEGREES {
                 let text = format!("joint `{name}` is {value} at {row_name} {row}");
                 return Err(wrong(path, text).with_hint(
-                    "joint positions are radians; were these degrees? Under [ingest.states] of the manifest, unit = \"degrees\" \
-                     converts them, gripper_range = [100, 0] a gripper in percent (entry `gripper.pos` of SO-100 and SO-101)",
+                    "joint positions are radians; were these degrees? `ingest.states.unit = \"degrees\"` in the manifest converts \
+                     them, `ingest.states.gripper_range = [100, 0]` a gripper in percent (entry `gripper.pos` of SO-100 and \
+                     SO-101)",
                 ));
             }
         }
