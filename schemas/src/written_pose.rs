@@ -130,7 +130,7 @@ impl From<RigidPose> for WrittenPose {
 impl<'de> Deserialize<'de> for WrittenPose {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         Self::from_json(&Value::deserialize(deserializer)?)
-            .map_err(|expected| D::Error::custom(format!("this is no pose: {expected}")))
+            .map_err(|expected| D::Error::custom(format!("not a pose: {expected}")))
     }
 }
 

@@ -39,7 +39,7 @@ fn manifests() {
     refused("[run]\n", "[run\n", "altered.toml:2");
     refused("data/episodes", "nowhere", "is not a folder");
     refused("panda_synth.urdf", "gone.urdf", "gone.urdf");
-    refused("lift = \"data/", "lift = \"nowhere/", "nowhere/");
+    refused("lift = \"builtin\"", "lift = \"nowhere/lift\"", "nowhere/");
     // A link that leads to something else; a text that leads out of the episode.
     let mut cases = Cases::new();
     let folder = cases.add("link", Failure("there is no column", ""));

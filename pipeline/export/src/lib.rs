@@ -2,7 +2,7 @@
 //!
 //! | module | what | page |
 //! |---|---|---|
-//! | [`nerfstudio`] | camera paths of its viewer | `docs/export.md` |
+//! | [`nerfstudio`] | camera paths of its viewer | `docs/films.md` |
 
 mod error;
 pub mod nerfstudio;

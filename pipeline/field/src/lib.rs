@@ -23,11 +23,13 @@ pub mod gates;
 pub mod ply;
 mod ply_header;
 mod ply_packed;
+mod ply_scene;
 mod timed;
 
 pub use correction::{Correction, GateGroup, POSITION_BOUND_M};
 pub use error::{Error, Result};
 pub use gates::{MotionGates, raw_at};
-pub use ply::{Axes, PlyScene, export_field, gaussians_in, read_ply, read_ply_file, write_ply};
+pub use ply::{Axes, export_field, gaussians_in, read_ply, read_ply_file, write_ply};
+pub use ply_scene::PlyScene;
 pub use ply_packed::write_packed_ply;
 pub use timed::TimedField;

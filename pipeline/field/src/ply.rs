@@ -17,19 +17,11 @@ use crate::attributes::sigmoid;
 use crate::error::{Error, Result};
 use crate::ply_header::{Header, Kind, Property, wrong};
 use crate::ply_packed;
+use crate::ply_scene::PlyScene;
 use crate::timed::TimedField;
 
 /// Opacities are written as logits of values at least this far from 0 and 1, which f32 can tell apart.
 const OPACITY_MARGIN: f32 = 1e-6;
-
-/// What a PLY file holds.
-#[derive(Debug, Clone, PartialEq)]
-pub struct PlyScene {
-    /// The Gaussians, in the unit and frame of the file (metres and the reconstruction frame for our own files).
-    pub gaussians: Gaussians,
-    /// Comment lines of the header.
-    pub comments: Vec<String>,
-}
 
 /// Reads a PLY file.
 ///

@@ -13,8 +13,8 @@ use rogs_schemas::units::LengthUnit;
 use rogs_splat::{Colour, Gaussians, sh};
 
 use crate::error::{Error, Result};
-use crate::ply::PlyScene;
 use crate::ply_header::{MAX_HEADER, wrong};
+use crate::ply_scene::PlyScene;
 
 /// Gaussians of a chunk.
 const CHUNK: usize = 256;

@@ -216,7 +216,7 @@ fn distortion(rest: &Map<String, Value>) -> Option<&str> {
 /// A pose in any form.
 fn pose_of(value: &Value, what: &str, path: &Path) -> StageResult<RigidPose> {
     let written = WrittenPose::from_json(value)
-        .map_err(|expected| wrong(path, format!("{what} is no pose")).with_hint(expected))?;
+        .map_err(|expected| wrong(path, format!("{what}: not a pose")).with_hint(expected))?;
     checks::rigid_pose(&written, what, path)
 }
 
@@ -278,7 +278,7 @@ mod tests {
     fn a_pose_that_is_none_names_the_camera_and_the_forms() {
         let calibration = read("\"camera_to_base\": [1, 2, 3]", "").unwrap();
         let error = calibration.camera(&["a"], (4, 4)).err().unwrap();
-        assert!(error.message.contains("`camera_to_base` of `a` is no pose"), "{error}");
+        assert!(error.message.contains("`camera_to_base` of `a`: not a pose"), "{error}");
         assert!(error.hint.unwrap().contains("3x4"));
         let calibration = read("\"camera_to_base\": [0.1, 0.2, 0.3, 0, 0, 1.5]", "").unwrap();
         assert!(calibration.camera(&["a"], (4, 4)).unwrap().unwrap().mount.is_some());

@@ -5,6 +5,7 @@
 //! clip asks for. [`FieldQuery`] answers other times. Interventions of the paper's ablations are parameters
 //! ([`LiftParams`]).
 
+mod bundled;
 mod camera_wise;
 pub mod latents;
 mod lifting;
@@ -18,8 +19,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use burn::tensor::{Device, Tensor};
+pub use bundled::{BUILTIN, BUILTIN_SIZE, COMPACT_WEIGHTS};
 pub use lifting::MotionOptions;
-pub use model::{BUILTIN, BUILTIN_SIZE, COMPACT_WEIGHTS, Model, load_model};
+pub use model::{Model, load_model};
 pub use params::{CrossCamera, LiftParams, ProductPrecision, QueryState, RobotMotion, TokenSource};
 pub use query::FieldQuery;
 use rogs_r4c::Record;

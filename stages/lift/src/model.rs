@@ -7,21 +7,12 @@ use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::WeightsInfo;
 use rogs_stage1::{LoadedStage1, Stage1, Stage1Config, open_stage1, read_stage1, seeded};
 use rogs_tensors::device;
-use rogs_weights::{Bundled, TensorFile, Unfiled};
+use rogs_weights::{TensorFile, Unfiled};
 use rogs_worker::{StageError, StageResult};
 
+use crate::bundled::{BUILTIN, BUILTIN_SIZE};
 use crate::params::LiftParams;
 use crate::stage_error;
-
-/// The bundled checkpoint: the `compact-sweep` network in bfloat16, trained on procedural clips only. Its
-/// model card is `stages/lift/weights/README.md`.
-pub static COMPACT_WEIGHTS: &[u8] = include_bytes!("../weights/compact-stage1.safetensors");
-
-/// The same with its name: what a run takes that names no weights.
-pub static BUILTIN: Bundled = Bundled::new("compact-stage1.safetensors", COMPACT_WEIGHTS);
-
-/// Height and width of the images that the bundled checkpoint was trained at, pixels.
-pub const BUILTIN_SIZE: [u32; 2] = [84, 154];
 
 /// A network and what is known about its weights.
 pub struct Model {

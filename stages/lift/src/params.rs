@@ -8,7 +8,7 @@ use rogs_worker::{StageError, StageResult};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::model::BUILTIN;
+use crate::bundled::BUILTIN;
 
 /// What determines a field besides its inputs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]

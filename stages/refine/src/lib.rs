@@ -9,6 +9,7 @@
 //! Seeded weights are untrained; as its last layer starts at zero, the correction is then
 //! exactly zero. Outputs and warnings say so.
 
+mod bundled;
 mod params;
 mod recurrence;
 mod refinement;
@@ -29,10 +30,11 @@ use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_worker::{Context, Stage, StageError, StageResult};
 
+pub use bundled::{BUILTIN, CI_WEIGHTS};
 pub use params::{MOST_UPDATES, RefineParams};
 pub use recurrence::ClipInputs;
 pub use refinement::refine;
-pub use weights::{BUILTIN, CI_WEIGHTS, LoadedRefiner, load_refiner};
+pub use weights::{LoadedRefiner, load_refiner};
 
 /// The stage.
 pub struct Refine {

@@ -8,7 +8,7 @@ use rogs_worker::{StageError, StageResult};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::weights::BUILTIN;
+use crate::bundled::BUILTIN;
 
 /// Most updates a run may ask for; training uses 1 to 4.
 pub const MOST_UPDATES: u32 = 64;

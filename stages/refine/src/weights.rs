@@ -7,10 +7,11 @@ use rogs_stage2::{
     Device, Refiner, RefinerConfig, read_parameters, read_weights, seeded_parameters, verify_parameters,
 };
 use rogs_tensors::device;
-use rogs_weights::{Bundled, TensorFile, Unfiled};
+use rogs_weights::{TensorFile, Unfiled};
 use rogs_worker::{StageError, StageResult};
 
 use crate::RefineParams;
+use crate::bundled::BUILTIN;
 
 /// A network and where it comes from.
 pub struct LoadedRefiner {
@@ -21,13 +22,6 @@ pub struct LoadedRefiner {
     /// What a person must know about the weights.
     pub warnings: Vec<String>,
 }
-
-/// The bundled refiner: the `ci` preset, trained on fields of the built-in Stage 1 on procedural clips
-/// only. Its model card is `stages/refine/weights/README.md`.
-pub static CI_WEIGHTS: &[u8] = include_bytes!("../weights/ci-stage2.safetensors");
-
-/// The same with its name: what a run takes that names no weights.
-pub static BUILTIN: Bundled = Bundled::new("ci-stage2.safetensors", CI_WEIGHTS);
 
 /// The preset of the bundled refiner.
 const BUILTIN_PRESET: &str = "ci";

@@ -215,7 +215,7 @@ fn read_trajectory(path: &Path, frames: u32) -> StageResult<SourceMount> {
     let values = array.all().map_err(unreadable)?;
     let pose = |(frame, numbers): (usize, &[f64])| {
         let what = format!("the pose at frame {frame}");
-        let written = WrittenPose::from_numbers(numbers).ok_or_else(|| wrong(path, format!("{what} is no pose")))?;
+        let written = WrittenPose::from_numbers(numbers).ok_or_else(|| wrong(path, format!("{what}: not a pose")))?;
         checks::rigid_pose(&written, &what, path)
     };
     let poses: StageResult<Vec<_>> = values.chunks_exact(numbers).enumerate().map(pose).collect();

@@ -85,7 +85,10 @@ fn no_urdf(outline: &EpisodeOutline) -> String {
     let words = |preset: &Preset| {
         let first = preset.name.split('-').next().unwrap_or_default();
         let short = first.trim_end_matches(|c: char| c.is_ascii_digit());
-        called.contains(first) || (short.len() > 2 && called.contains(short))
+        // `so100` is of the family of `so101`: the same letters before a number.
+        let family = |word: &str| word != short && word.trim_end_matches(|c: char| c.is_ascii_digit()) == short;
+        let by_word = called.split(|c: char| !c.is_ascii_alphanumeric()).any(family);
+        called.contains(first) || (short.len() > 2 && called.contains(short)) || (short != first && by_word)
     };
     let panda = ["panda", "franka", "droid"].iter().any(|word| called.contains(word)) || has("panda_joint1");
     let meant = PRESETS.iter().find(|preset| {
