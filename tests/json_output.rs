@@ -73,7 +73,11 @@ impl<'a> Asking<'a> {
 
     /// The value that a command prints, with the exit code it must have.
     fn ask(&mut self, code: i32, arguments: &[&str]) -> Value {
-        let words = if ["export", "weights"].contains(&arguments[0]) { 2 } else { 1 };
+        let words = if ["export", "weights"].contains(&arguments[0]) {
+            2
+        } else {
+            1
+        };
         self.seen.insert(format!("rogs-{}", arguments[..words].join("-")));
         let output = self.workspace.rogs(&[arguments, &["--json"]].concat());
         let called = arguments.join(" ");

@@ -30,6 +30,6 @@ pub use correction::{Correction, GateGroup, POSITION_BOUND_M};
 pub use error::{Error, Result};
 pub use gates::{MotionGates, raw_at};
 pub use ply::{Axes, export_field, gaussians_in, read_ply, read_ply_file, write_ply};
-pub use ply_scene::PlyScene;
 pub use ply_packed::write_packed_ply;
+pub use ply_scene::PlyScene;
 pub use timed::TimedField;

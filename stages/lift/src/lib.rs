@@ -18,8 +18,8 @@ mod source;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use burn::tensor::{Device, Tensor};
 pub use bundled::{BUILTIN, BUILTIN_SIZE, COMPACT_WEIGHTS};
+use burn::tensor::{Device, Tensor};
 pub use lifting::MotionOptions;
 pub use model::{Model, load_model};
 pub use params::{CrossCamera, LiftParams, ProductPrecision, QueryState, RobotMotion, TokenSource};
