@@ -7,7 +7,7 @@ use std::process::Command;
 
 use rogs_needs::needs;
 
-use crate::cases::{Cases, Failure, GOOD, Nothing, Said, edit};
+use crate::cases::{Cases, Failure, GOOD, Nothing, Said, Warning, edit};
 
 /// MPEG-4 part 2 is in every build of ffmpeg. The order of decoding differs from that of showing: B-frames.
 const PLAIN: [&str; 6] = ["-c:v", "mpeg4", "-q:v", "2", "-bf", "2"];
