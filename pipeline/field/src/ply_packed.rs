@@ -533,7 +533,7 @@ mod tests {
             [head.as_bytes(), &bytes[end..]].concat()
         };
         assert!(said(&with("chunk 3", "chunk 2")).contains("3 chunks"));
-        assert!(said(&with("vertex 600", "vertex 18446744073709551615")).contains("promises more"));
+        assert!(said(&with("vertex 600", "vertex 18446744073709551615")).contains("too large"));
         assert!(said(&with("uint packed_scale", "float packed_scale")).contains("another type"));
         assert!(said(&with("packed_scale", "scale")).contains("packed_scale"));
         assert!(said(&with("binary_little_endian", "binary_big_endian")).contains("little"));

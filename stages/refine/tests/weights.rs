@@ -141,7 +141,7 @@ fn the_program_refines_files_the_same_for_any_thread_count() {
     let (resumed, resumed_info) = read_record::<Refinement>(&folder.path().join("rest.r4c")).unwrap();
     assert!(resumed == record && resumed_info.content == info.content);
 
-    let (_, text) = run("untrained.r4c", &[]);
+    let (_, text) = run("untrained.r4c", &["--params", "weights=\"seeded\""]);
     assert!(text.contains("warning") && text.contains("UNTRAINED"), "{text}");
 }
 
