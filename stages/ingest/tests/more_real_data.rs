@@ -212,7 +212,7 @@ fn agibot_samples_without_calibration_or_with_a_wrong_one_are_refused() {
     let text = refused(&lens);
     assert!(
         text.contains("the calibration (intrinsics) of camera `head` is missing")
-            && text.contains("calibration-format.md"),
+            && text.contains("docs/calibration-format.md"),
         "{text}"
     );
     let poses = sample("agibot-poses");
