@@ -42,7 +42,11 @@ fn episode() -> &'static Path {
             }
         }
         std::fs::write(folder.join("episode.json"), text).expect("a file can be written");
-        std::fs::write(folder.join("joints.csv"), b"time,j,gripper\n0.0,0.1,0.0\n0.066,0.1,0.0\n").expect("a file can be written");
+        std::fs::write(
+            folder.join("joints.csv"),
+            b"time,j,gripper\n0.0,0.1,0.0\n0.066,0.1,0.0\n",
+        )
+        .expect("a file can be written");
         folder
     })
 }
@@ -80,7 +84,8 @@ fuzz_target!(|bytes: &[u8]| {
         rollout: RolloutParams {
             layout,
             // What a manifest may say: any four numbers.
-            image_size: (choice & 8 != 0).then(|| [0, 1, 2, 3].map(|at| u32::from(bytes.get(40 + at).copied().unwrap_or(9)))),
+            image_size: (choice & 8 != 0)
+                .then(|| [0, 1, 2, 3].map(|at| u32::from(bytes.get(40 + at).copied().unwrap_or(9)))),
             min_first_frame_psnr_db: if choice & 16 != 0 { 20.0 } else { 0.001 },
             ..RolloutParams::default()
         },
