@@ -223,7 +223,7 @@ mod tests {
             r#"{"translation":[1,2],"quaternion_xyzw":[0,0,0,1]}"#,
         ] {
             let error = serde_json::from_str::<WrittenPose>(text).unwrap_err().to_string();
-            assert!(error.contains("no pose") && error.contains("3x4"), "{text}: {error}");
+            assert!(error.contains("not a pose") && error.contains("3x4"), "{text}: {error}");
         }
     }
 }

@@ -9,7 +9,6 @@ use std::path::Path;
 
 use glam::{DMat3, DVec3};
 use rogs_geometry::{Base, Camera, CameraPath, Pinhole, Pose, PosedCamera};
-use rogs_schemas::Intrinsics;
 use serde::Deserialize;
 
 use crate::error::{Error, Result};
@@ -114,17 +113,7 @@ pub fn viewer_path(path: &Path, value: serde_json::Value) -> Result<ViewerPath> 
             return Err(bad(format!("invalid `fov` {}: expected 0 to 180 degrees", view.fov)));
         }
         let focal = f64::from(height) / 2.0 / libm::tan(view.fov.to_radians() / 2.0);
-        let intrinsics = Intrinsics {
-            fx: focal,
-            fy: focal,
-            cx: f64::from(width) / 2.0,
-            cy: f64::from(height) / 2.0,
-        };
-        let lens = Pinhole {
-            intrinsics,
-            width,
-            height,
-        };
+        let lens = Pinhole::centred(focal, width, height);
         Ok(PosedCamera::new(
             lens,
             Pose::new(other_axes(&pose.rotation), pose.translation),

@@ -26,6 +26,21 @@ impl Pinhole {
         }
     }
 
+    /// A camera whose axis goes through the middle of its images; one focal length, pixels.
+    #[must_use]
+    pub fn centred(focal: f64, width: u32, height: u32) -> Self {
+        Self {
+            intrinsics: Intrinsics {
+                fx: focal,
+                fy: focal,
+                cx: f64::from(width) / 2.0,
+                cy: f64::from(height) / 2.0,
+            },
+            width,
+            height,
+        }
+    }
+
     /// A camera whose principal point is given for INTEGER pixel centres (ZED SDK, OpenCV): half a pixel is added.
     #[must_use]
     pub fn from_integer_centres(intrinsics: Intrinsics, width: u32, height: u32) -> Self {

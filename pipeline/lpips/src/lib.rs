@@ -17,7 +17,6 @@ mod weights;
 
 use std::path::Path;
 
-use distances::LENGTH_FLOOR;
 use trunk::Trunk;
 
 pub use error::{Error, Result};

@@ -4,7 +4,8 @@ use burn::tensor::module;
 use burn::tensor::ops::{ConvOptions, MaxPoolOptions};
 use burn::tensor::{Device, Tensor, activation};
 
-use crate::{BLOCKS, LAYERS, LENGTH_FLOOR, LpipsWeights, SCALE, SHIFT};
+use crate::distances::LENGTH_FLOOR;
+use crate::{BLOCKS, LAYERS, LpipsWeights, SCALE, SHIFT};
 use rogs_tensors::parameters::from_host;
 
 /// The network as tensors of a device.

@@ -102,15 +102,7 @@ pub(super) fn suppositions_of(
 }
 
 fn beside(mount: &Mount, right_m: f64) -> Mount {
-    let step = rogs_geometry::Pose::from_translation(glam::DVec3::X * right_m);
-    match mount {
-        Mount::Fixed(pose) => Mount::Fixed(*pose * step),
-        Mount::Path(poses) => Mount::Path(poses.iter().map(|&pose| pose * step).collect()),
-        Mount::Hand { link, link_from_camera } => Mount::Hand {
-            link: *link,
-            link_from_camera: *link_from_camera * step,
-        },
-    }
+    mount.moved(rogs_geometry::Pose::from_translation(glam::DVec3::X * right_m))
 }
 
 fn other_intrinsics(lens: &Pinhole) -> Vec<(Mistake, Intrinsics)> {

@@ -22,6 +22,21 @@ pub enum Mount {
     },
 }
 
+impl Mount {
+    /// The same camera moved in its own frame.
+    #[must_use]
+    pub fn moved(&self, by: Pose<Camera, Camera>) -> Self {
+        match self {
+            Self::Fixed(pose) => Self::Fixed(*pose * by),
+            Self::Path(poses) => Self::Path(poses.iter().map(|&pose| pose * by).collect()),
+            Self::Hand { link, link_from_camera } => Self::Hand {
+                link: *link,
+                link_from_camera: *link_from_camera * by,
+            },
+        }
+    }
+}
+
 /// A camera and what it filmed.
 #[derive(Debug, Clone)]
 pub struct Filmed<'a> {

@@ -207,14 +207,7 @@ impl Trials<'_> {
             let Some(step) = twist(&seen, range) else { break };
             let step = moved(step[0], step[1]);
             total = total * step;
-            best.mount = match &best.mount {
-                Mount::Fixed(pose) => Mount::Fixed(*pose * step),
-                Mount::Path(poses) => Mount::Path(poses.iter().map(|&pose| pose * step).collect()),
-                Mount::Hand { link, link_from_camera } => Mount::Hand {
-                    link: *link,
-                    link_from_camera: *link_from_camera * step,
-                },
-            };
+            best.mount = best.mount.moved(step);
         }
         let quaternion = total.quaternion();
         (best, [quaternion.to_scaled_axis(), total.translation])

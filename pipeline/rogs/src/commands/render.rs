@@ -5,13 +5,14 @@ use std::process::ExitCode;
 
 use anyhow::{Context as _, bail, ensure};
 use rogs_arrays::{NamedArray, write_exr, write_npz, write_png};
-use rogs_field::{Axes, export_field};
+use rogs_field::export_field;
 use rogs_geometry::{PosedCamera, Recon};
 use rogs_schemas::units::LengthUnit;
 use rogs_schemas::{Device, Intrinsics};
 use rogs_splat::{Gaussians, RasterCamera, RasterConfig, RasterDevice, Render};
 use serde::Serialize;
 
+use super::export_field::AxesArg;
 use super::film::{self, FilmArgs, Shooting};
 use super::network::BesideArgs;
 use super::scene::{FieldFile, Scene, bytes_of, read_ply};
@@ -75,14 +76,6 @@ pub(crate) struct ViewArgs {
     /// Print one JSON value: the files and what became of the Gaussians.
     #[arg(long)]
     json: bool,
-}
-
-/// Frames of a PLY file.
-#[derive(Debug, Clone, Copy, Default, clap::ValueEnum)]
-enum AxesArg {
-    #[default]
-    Recon,
-    Base,
 }
 
 /// What was rendered.
@@ -217,10 +210,7 @@ pub(crate) fn render_field(
         time: Some(time),
         unit: scene.unit(),
     };
-    let axes = match view.axes {
-        AxesArg::Recon => Axes::Recon,
-        AxesArg::Base => Axes::Base,
-    };
+    let axes = view.axes.into();
     let mut ply = |path: &Path| scene.timed(time, |timed| Ok(export_field(timed, time, axes, path)?));
     render_scene(&moment, view, &views, if view.ply { Some(&mut ply) } else { None })
 }

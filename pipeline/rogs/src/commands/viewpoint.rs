@@ -211,17 +211,7 @@ impl Viewpoint {
             Self::LookAt { eye, target } => {
                 let (width, height) = place.size.unwrap_or(place.usual);
                 let focal = f64::from(width) / 2.0 / (LOOKAT_DEGREES / 2.0).to_radians().tan();
-                let intrinsics = Intrinsics {
-                    fx: focal,
-                    fy: focal,
-                    cx: f64::from(width) / 2.0,
-                    cy: f64::from(height) / 2.0,
-                };
-                let lens = Pinhole {
-                    intrinsics,
-                    width,
-                    height,
-                };
+                let lens = Pinhole::centred(focal, width, height);
                 let pose: Pose<Base, Camera> = Pose::looking_at(*eye, *target, DVec3::Z)?;
                 let camera = PosedCamera::new(lens, pose).in_frame(&place.recon_from_base);
                 Ok(Shot::Still(vec![("lookat".to_owned(), camera)]))
