@@ -96,7 +96,7 @@ fn a_lerobot_set_runs_from_its_wrist_camera() {
     assert!(said.contains("1 of 1 clips done, 0 failed"), "{said}");
 }
 
-#[ignore = "six raw DROID episodes through every stage: not tried yet, run it by hand"]
+#[needs(libx264, long = "six raw DROID episodes through every stage")]
 #[test]
 fn raw_droid_runs_as_it_was_released() {
     let workspace = Workspace::small(1);
