@@ -1,7 +1,9 @@
-//! Every command prints one JSON value on standard output when it is asked with `--json`.
+//! Every command prints one JSON value on standard output when it is asked with `--json`, as `rogs schema` says.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 
+#[path = "support/schema.rs"]
+mod schema;
 mod support;
 
 use std::collections::BTreeSet;
@@ -43,6 +45,46 @@ const DEMO: [&str; 1] = ["rogs-demo"];
 /// Asked in `tests/rollouts.rs`, which has what it needs.
 const ROLLOUTS: [&str; 1] = ["rogs-export-rollout-inputs"];
 
+/// The formats that each test here sees, as `rogs schema` names them; together they are all.
+const FORMATS: [(&[&str], &[&str]); 7] = [
+    (
+        &RUNS,
+        &[
+            "diff",
+            "gc",
+            "inspect",
+            "logs",
+            "plan",
+            "plan-emit",
+            "plan-explain",
+            "report",
+            "run",
+            "status",
+            "submit",
+            "table",
+            "verify",
+        ],
+    ),
+    (&PICTURES, &["export-field", "film", "metrics", "render"]),
+    (&DATA, &["fk", "init", "list", "selection", "synth"]),
+    (
+        &WEIGHTS,
+        &[
+            "weights-average",
+            "weights-files",
+            "weights-generate",
+            "weights-import",
+            "weights-list",
+            "weights-merge",
+            "weights-verify",
+        ],
+    ),
+    (&PROGRAM, &["completions", "doctor", "man", "schemas"]),
+    (&DEMO, &["demo"]),
+    // The second needs a network.
+    (&ROLLOUTS, &["export-rollout-inputs", "weights-fetch"]),
+];
+
 /// The commands that only group others.
 const GROUPS: [&str; 3] = ["rogs", "rogs-export", "rogs-weights"];
 
@@ -61,6 +103,7 @@ fn text(bytes: &[u8]) -> String {
 struct Asking<'a> {
     workspace: &'a Workspace,
     seen: BTreeSet<String>,
+    formats: BTreeSet<String>,
 }
 
 impl<'a> Asking<'a> {
@@ -68,6 +111,7 @@ impl<'a> Asking<'a> {
         Self {
             workspace,
             seen: BTreeSet::new(),
+            formats: BTreeSet::new(),
         }
     }
 
@@ -85,12 +129,29 @@ impl<'a> Asking<'a> {
         let value = serde_json::from_slice(&output.stdout)
             .unwrap_or_else(|error| panic!("{called}: no JSON ({error}): {}", text(&output.stdout)));
         assert!(!text(&output.stderr).contains("panicked"), "{called}");
+        self.is_as_its_schema_says(&value, &called);
         value
     }
 
-    /// Ends a test: these commands were asked.
+    fn is_as_its_schema_says(&mut self, value: &Value, called: &str) {
+        let format = value["format"]
+            .as_str()
+            .unwrap_or_else(|| panic!("{called}: no format"));
+        let output = self.workspace.rogs(&["schema", format]);
+        assert!(output.status.success(), "{called}: {}", text(&output.stderr));
+        let schema: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(schema["$id"], format);
+        schema::check(&schema, value).unwrap_or_else(|error| panic!("{called}: {error}"));
+        let name = format.strip_prefix("rogs.").and_then(|rest| rest.split('/').next());
+        self.formats.insert(name.unwrap().to_owned());
+    }
+
+    /// Ends a test: these commands were asked, and gave all formats of [`FORMATS`].
     fn asked(self, commands: &[&str]) {
-        assert_eq!(self.seen, commands.iter().map(|name| (*name).to_owned()).collect());
+        let set = |names: &[&str]| -> BTreeSet<String> { names.iter().map(|name| (*name).to_owned()).collect() };
+        assert_eq!(self.seen, set(commands));
+        let (_, formats) = FORMATS.iter().find(|(of, _)| *of == commands).unwrap();
+        assert_eq!(self.formats, set(formats));
     }
 }
 
@@ -118,7 +179,8 @@ fn every_command_has_a_check_of_its_json() {
         .output()
         .unwrap();
     assert!(output.status.success(), "{}", text(&output.stderr));
-    let files: Vec<std::path::PathBuf> = serde_json::from_slice(&output.stdout).unwrap();
+    let pages: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let files: Vec<std::path::PathBuf> = serde_json::from_value(pages["files"].clone()).unwrap();
     let mut names: BTreeSet<String> = BTreeSet::new();
     for file in &files {
         let page = std::fs::read_to_string(file).unwrap();
@@ -142,6 +204,16 @@ fn every_command_has_a_check_of_its_json() {
 }
 
 #[test]
+fn every_format_has_a_check() {
+    let output = Command::new(ROGS).args(["schema", "--json"]).output().unwrap();
+    let listed: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let items = listed["items"].as_array().unwrap();
+    let names: BTreeSet<&str> = items.iter().map(|item| item["name"].as_str().unwrap()).collect();
+    let here = FORMATS.iter().flat_map(|(_, formats)| *formats).copied();
+    assert_eq!(names, here.chain(["manifest"]).collect());
+}
+
+#[test]
 fn commands_about_runs() {
     let workspace = Workspace::small(1);
     workspace.manifest("other.toml", "other");
@@ -156,8 +228,9 @@ fn commands_about_runs() {
     let dry = ask(0, &["submit", "manifest.toml", "--dry-run"]);
     assert_eq!((&dry["ids"], length(&dry["scripts"])), (&json!([]), 7));
     assert!(!workspace.path("run").exists(), "a dry run writes nothing");
+    assert_eq!(length(&ask(0, &["plan", "manifest.toml", "--explain"])["items"]), 7);
     assert_eq!(ask(0, &["run", "manifest.toml"])["units"]["made"], 7);
-    assert_eq!(ask(0, &["plan", "manifest.toml", "--explain"]), json!([]));
+    assert_eq!(ask(0, &["plan", "manifest.toml", "--explain"])["items"], json!([]));
     let exported = ask(0, &["plan", "other.toml", "--emit", "jsonl"]);
     assert_eq!((&exported["units"], length(&exported["commands"])), (&json!(7), 6));
     assert_eq!(ask(0, &["status", "run"])["clips"]["done"], 1);
@@ -167,7 +240,7 @@ fn commands_about_runs() {
     assert!(ask(0, &["report", "run", "--table", "main"]).is_object());
     assert!(ask(0, &["table", "run"]).is_object());
     let clip = clip_of(&workspace, "run");
-    assert_eq!(length(&ask(0, &["logs", "run", &clip])), 7);
+    assert_eq!(length(&ask(0, &["logs", "run", &clip])["items"]), 7);
     assert_eq!(ask(0, &["diff", "run", "run"])["same"], 7);
     assert_eq!(length(&ask(1, &["diff", "run", "other"])["only_a"]), 7);
     assert_eq!(ask(0, &["gc", "run", "--dry-run"])["files"], json!([]));
@@ -194,10 +267,14 @@ fn commands_that_draw_and_compare_pictures() {
     let view = ["--camera", "camera.json", "--out", "pictures"];
     let mut asking = Asking::new(&workspace);
     let render = [&["render", &field], &view[..]].concat();
-    assert_eq!(length(&asking.ask(0, &render)), 1);
+    assert_eq!(length(&asking.ask(0, &render)["items"]), 1);
+    let film = [
+        "render", &field, "--camera", "orbit", "--frames", "2", "--time", "0", "--video", "film.gif",
+    ];
+    assert_eq!(asking.ask(0, &film)["frames"], 2);
     // The built-in weights need no file.
     let query = [&["query", &field, "--time", "0.37"], &view[..]].concat();
-    assert_eq!(length(&asking.ask(0, &query)), 1);
+    assert_eq!(length(&asking.ask(0, &query)["items"]), 1);
     let export = [
         "export",
         "field",
@@ -227,7 +304,7 @@ fn commands_about_data() {
     workspace.write("split.json", &split.to_string());
     let mut asking = Asking::new(&workspace);
     let fk = ["fk", "data/robot/panda_synth.urdf", "--joints", "joints.csv"];
-    assert_eq!(length(&asking.ask(0, &fk)), 1);
+    assert_eq!(length(&asking.ask(0, &fk)["items"]), 1);
     let files = ["--episodes", "episodes.json", "--manifest", "split.json"];
     let cohort = [&["cohort"], &files[..], &["--take", "1"]].concat();
     assert_eq!(asking.ask(0, &cohort)["counts"]["selected"], 1);
@@ -257,7 +334,7 @@ fn commands_about_weights() {
     let listed = ask(&["list", LIFT_WEIGHTS]);
     assert!(listed["elements"].as_u64().unwrap() > 1_000_000);
     assert!(ask(&["verify", LIFT_WEIGHTS]).is_object());
-    assert!(length(&ask(&["fetch"])) > 0);
+    assert!(length(&ask(&["fetch"])["items"]) > 0);
     let generate = ["generate", "--out", "seeded.safetensors", "--numbers", "f16"];
     assert_eq!(ask(&generate)["seed"], 73);
     let import = ["import", LIFT_WEIGHTS, "--out", "imported.safetensors"];
@@ -267,7 +344,7 @@ fn commands_about_weights() {
     let updated = ask(&["list", "updated.safetensors"]);
     assert!(length(&updated["tensors"]) > length(&listed["tensors"]));
     let merge = ["merge", "updated.safetensors", "--out", "merged.safetensors"];
-    assert_eq!(ask(&merge), json!({"out": "merged.safetensors"}));
+    assert_eq!(ask(&merge)["out"], "merged.safetensors");
     // Folded in: the tensors of a plain checkpoint again, with its provenance told.
     let merged = ask(&["list", "merged.safetensors"]);
     assert_eq!(merged["tensors"], listed["tensors"]);
@@ -277,7 +354,7 @@ fn commands_about_weights() {
     let average = ["average", "merged.safetensors", LIFT_WEIGHTS, "--shares", "3,1"];
     let average = [&average[..], &["--out", "average.safetensors"]].concat();
     let inputs = json!([["merged.safetensors", 3.0], [LIFT_WEIGHTS, 1.0]]);
-    assert_eq!(ask(&average), json!({"out": "average.safetensors", "inputs": inputs}));
+    assert_eq!(ask(&average)["inputs"], inputs);
     assert_eq!(ask(&["verify", "average.safetensors"])["good"], true);
     asking.asked(&WEIGHTS);
 }
@@ -286,11 +363,11 @@ fn commands_about_weights() {
 fn commands_about_the_program() {
     let workspace = Workspace::empty();
     let mut asking = Asking::new(&workspace);
-    assert!(length(&asking.ask(0, &["doctor"])) >= 5);
-    assert!(asking.ask(0, &["schema"])["properties"].is_object());
+    assert!(length(&asking.ask(0, &["doctor"])["items"]) >= 5);
+    assert!(length(&asking.ask(0, &["schema"])["items"]) > 30);
     let script = asking.ask(0, &["completions", "bash"]);
     assert!(script["script"].as_str().unwrap().contains("complete"));
-    assert!(length(&asking.ask(0, &["man", "--out", "man"])) > 20);
+    assert!(length(&asking.ask(0, &["man", "--out", "man"])["files"]) > 20);
     asking.asked(&PROGRAM);
 }
 

@@ -36,7 +36,8 @@ fn commands() -> Vec<Vec<String>> {
         .arg(&out)
         .output()
         .unwrap();
-    let files: Vec<std::path::PathBuf> = serde_json::from_slice(&output.stdout).unwrap();
+    let pages: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let files: Vec<std::path::PathBuf> = serde_json::from_value(pages["files"].clone()).unwrap();
     let name = |file: &std::path::PathBuf| file.file_stem().unwrap().to_string_lossy().into_owned();
     let mut names: Vec<String> = files.iter().map(name).collect();
     names.sort();

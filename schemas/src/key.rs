@@ -1,9 +1,11 @@
 //! Cache keys, content hashes and provenance: what makes an output up to date.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Key of one unit output: a 128-bit truncated BLAKE3 over everything that determines its bytes.
@@ -50,6 +52,16 @@ macro_rules! hex_newtype {
             }
         }
 
+        impl JsonSchema for $name {
+            fn schema_name() -> Cow<'static, str> {
+                stringify!($name).into()
+            }
+
+            fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
+                schemars::json_schema!({ "type": "string", "pattern": format!("^[0-9a-f]{{{}}}$", 2 * $bytes) })
+            }
+        }
+
         impl<'de> Deserialize<'de> for $name {
             fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
                 String::deserialize(deserializer)?
@@ -64,7 +76,7 @@ hex_newtype!(CacheKey, 16);
 hex_newtype!(ContentHash, 32);
 
 /// What determines a stage's output for one clip. Its canonical JSON is hashed into the [`CacheKey`].
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct KeyMaterial {
     /// Stage name, `lift`.
     pub stage: String,
@@ -104,7 +116,7 @@ impl KeyMaterial {
 }
 
 /// What a file says about its own making. Stored in the container's metadata.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Provenance {
     /// What the key was made of.
     pub material: KeyMaterial,

@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Value of [`Selection::schema_version`]. Version 1 had no [`Selection::candidates`].
@@ -11,7 +12,7 @@ pub const SELECTION_VERSION: u32 = 2;
 pub const SELECTION_ALGORITHM: &str = "numpy-pcg64-permutation";
 
 /// Contents of `selection.json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Selection {
     /// Version of this layout.
     pub schema_version: u32,
@@ -39,7 +40,7 @@ pub struct Selection {
 }
 
 /// The list of episodes behind a selection.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Candidates {
     /// What it was read from: `list`, `folder` or `manifest`.
     pub source: String,
@@ -56,7 +57,7 @@ pub struct Candidates {
 }
 
 /// Episodes left after every step.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct CohortCounts {
     /// Of the held-out laboratories.
     pub reserved: usize,
@@ -71,7 +72,7 @@ pub struct CohortCounts {
 }
 
 /// The manifest behind a selection.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SourceManifest {
     /// File name.
     pub path_name: String,
@@ -86,7 +87,7 @@ pub struct SourceManifest {
 }
 
 /// One selected episode.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct SelectedEpisode {
     /// Index into `eligible_sorted`.
     pub index: u32,
@@ -101,7 +102,7 @@ pub struct SelectedEpisode {
 }
 
 /// How the random numbers were made.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct RngNote {
     /// Algorithm.
     pub algorithm: String,
@@ -110,7 +111,7 @@ pub struct RngNote {
 }
 
 /// Why an episode is not in the cohort. The first reason that applies counts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ExclusionReason {
     /// In the training or validation list.

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use rogs_r4c::{FileHeader, read_header};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::error::{Error, Result, io};
@@ -12,7 +13,7 @@ use crate::exit::Exit;
 use crate::plan::PLAN_FILE;
 
 /// How two runs differ.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct Difference {
     /// Outputs with the same content on both sides.
     pub same: usize,
@@ -25,7 +26,7 @@ pub struct Difference {
 }
 
 /// One output that differs.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct DifferentOutput {
     /// The file, relative to both run folders.
     pub output: PathBuf,

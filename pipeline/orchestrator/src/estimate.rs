@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::columns::columns;
@@ -14,10 +15,8 @@ use crate::state::OutputState;
 use crate::sys::free_disk;
 
 /// What is to be done and what that will probably cost.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Estimate {
-    /// Version of this value.
-    pub format: &'static str,
     /// Name of the run.
     pub name: String,
     /// Clips of the plan.
@@ -50,7 +49,7 @@ pub struct Estimate {
 }
 
 /// One node.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct NodeEstimate {
     /// The node, for example `lift`.
     pub node: String,
@@ -97,7 +96,6 @@ pub fn estimate(plan: &Plan, options: &RunOptions) -> Result<Estimate> {
     };
     let parallel = options.workers.min(plan.clips.len()).max(1) as f64;
     Ok(Estimate {
-        format: "rogs-estimate 2",
         name: plan.name.clone(),
         clips: plan.clips.len(),
         intervals: plan.clip_intervals(),

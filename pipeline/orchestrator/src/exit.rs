@@ -1,5 +1,6 @@
 //! Exit codes, the same for every command.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 /// How a command ended, as its exit code.
@@ -13,7 +14,7 @@ use serde::Serialize;
 /// | 4 | `Locked` | another process works in the run folder |
 /// | 70 | `Environment` | the orchestrator itself could not continue (disk full, stage program missing) |
 /// | 75 | `Stopped` | stopped early by a signal; the same command resumes |
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 #[repr(u8)]
 pub enum Exit {

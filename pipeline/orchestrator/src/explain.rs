@@ -1,6 +1,7 @@
 //! Why a unit has to be made, down to the value that changed.
 
 use rogs_schemas::ClipId;
+use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -8,7 +9,7 @@ use crate::plan::{InputSource, Plan, UnitKey, WorkUnit};
 use crate::state::{OutputState, output_state};
 
 /// Why one unit has to be made.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Explanation {
     /// The clip.
     pub clip: ClipId,
@@ -22,7 +23,7 @@ pub struct Explanation {
 }
 
 /// The reason.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case", tag = "reason")]
 pub enum Reason {
     /// There is no file.
@@ -40,7 +41,7 @@ pub enum Reason {
 }
 
 /// One difference between what a file was made from and what the plan asks for.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct Change {
     /// What: `stage version`, `output schema`, `params.NAME`, `input ROLE`.
     pub what: String,

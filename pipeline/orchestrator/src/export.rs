@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use rogs_schemas::ledger::PlannedUnit;
 use rogs_schemas::protocol::JobId;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::error::{Result, io};
@@ -15,7 +16,7 @@ use crate::quote::path_word;
 use crate::stage::StageId;
 
 /// What was exported and how to run it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Export {
     /// The file.
     pub plan: PathBuf,

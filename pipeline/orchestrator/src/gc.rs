@@ -4,6 +4,7 @@ use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
 use rogs_schemas::ledger::LOG_FILE;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::error::{Result, io};
@@ -11,7 +12,7 @@ use crate::lock::{RunLock, refuse_active};
 use crate::plan::{Plan, WorkUnit, read_plan};
 
 /// What was, or would be, removed.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, JsonSchema)]
 pub struct Collected {
     /// Files, relative to the run folder.
     pub files: Vec<PathBuf>,

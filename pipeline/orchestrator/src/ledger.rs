@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use rogs_r4c::ledger;
 use rogs_schemas::CacheKey;
 use rogs_schemas::ledger::{Attempt, LEDGER_FOLDER, Outcome};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Result, io};
@@ -199,7 +200,7 @@ pub fn last_by_output(attempts: Vec<Attempt>) -> HashMap<(PathBuf, CacheKey), At
 }
 
 /// What earlier attempts say about the cost of a stage.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, JsonSchema)]
 pub struct StageCost {
     /// Units that were done.
     pub count: usize,

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use rogs_schemas::ClipId;
 use rogs_schemas::ledger::Failure;
 use rogs_schemas::shown;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::columns::columns;
@@ -18,7 +19,7 @@ use crate::plan::{Plan, WorkUnit, read_plan};
 use crate::state::OutputState;
 
 /// State of a unit for people.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum UnitState {
     /// Up to date.
@@ -36,10 +37,8 @@ pub enum UnitState {
 }
 
 /// State of a run.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Status {
-    /// Version of this value.
-    pub format: &'static str,
     /// Name of the run.
     pub name: String,
     /// The run folder.
@@ -59,7 +58,7 @@ pub struct Status {
 }
 
 /// Clips by state.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, JsonSchema)]
 pub struct StatusClips {
     /// All.
     pub total: usize,
@@ -70,7 +69,7 @@ pub struct StatusClips {
 }
 
 /// Units of one node by state.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct NodeStatus {
     /// The node, for example `lift`.
     pub node: String,
@@ -85,7 +84,7 @@ pub struct NodeStatus {
 }
 
 /// A failure.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct StatusFailure {
     /// The clip.
     pub clip: ClipId,
@@ -97,7 +96,7 @@ pub struct StatusFailure {
 }
 
 /// The units of one clip.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct ClipStatus {
     /// The clip.
     pub clip: ClipId,
@@ -207,7 +206,6 @@ fn summarise(plan: &Plan, units: Vec<(Vec<UnitState>, Vec<StatusFailure>)>) -> S
         });
     }
     Status {
-        format: "rogs-status 1",
         name: plan.name.clone(),
         run: plan.run.clone(),
         active: is_active(&plan.run),

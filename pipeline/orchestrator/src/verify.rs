@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::error::Result;
@@ -11,7 +12,7 @@ use crate::lock::RunLock;
 use crate::plan::{Plan, WorkUnit, read_plan};
 
 /// What a check of a run found.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct Verification {
     /// Outputs that are whole, byte for byte, and carry the key of the plan.
     pub good: usize,
@@ -22,7 +23,7 @@ pub struct Verification {
 }
 
 /// An output that is wrong.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct BadOutput {
     /// The file, relative to the run folder.
     pub output: PathBuf,

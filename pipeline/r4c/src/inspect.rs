@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use rogs_schemas::key::{CacheKey, ContentHash, Provenance};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::error::Result;
@@ -11,7 +12,7 @@ use crate::reader::Reader;
 use crate::stream::{Codec, Dtype, Frame, StreamInfo, Unit};
 
 /// Everything `rogs inspect` shows.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct InspectReport {
     /// Schema name.
     pub schema: String,
@@ -32,7 +33,7 @@ pub struct InspectReport {
 }
 
 /// One stream.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct StreamReport {
     /// Name.
     pub name: String,
@@ -60,7 +61,7 @@ pub struct StreamReport {
 }
 
 /// Sums over a stream's chunks.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, JsonSchema)]
 pub struct ChunkTotals {
     /// Chunks.
     pub chunks: u64,

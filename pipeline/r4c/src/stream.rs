@@ -1,9 +1,10 @@
 //! What a stream is: element type and shape, unit, frame, codec.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Type of a stream's scalars. The order is part of the format.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Dtype {
     /// 8-bit unsigned.
@@ -61,7 +62,7 @@ impl Element for f64 {
 }
 
 /// Unit of a stream's values. The order is part of the format.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Unit {
     /// No unit.
@@ -79,7 +80,7 @@ pub enum Unit {
 }
 
 /// Frame of a stream's coordinates. The order is part of the format.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Frame {
     /// Not coordinates.
@@ -93,7 +94,7 @@ pub enum Frame {
 }
 
 /// How chunks of a stream are compressed. A chunk that would not shrink is stored raw.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Codec {
     /// As it is.

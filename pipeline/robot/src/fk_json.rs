@@ -1,9 +1,22 @@
 //! Forward kinematics of a table of joint values, as JSON (`rogs fk`).
 
-use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
+
+use schemars::JsonSchema;
+use serde::Serialize;
 
 use crate::error::{Error, Result};
 use crate::model::{JointKind, JointState, RobotModel};
+
+/// Link poses of one row of a table.
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+pub struct FkRow {
+    /// The row, counted from 0.
+    pub row: usize,
+    /// Poses of the links in the base link's frame, metres: 4x4 matrices row after row, so that entries 3, 7 and 11 are
+    /// the position.
+    pub links: BTreeMap<String, [f64; 16]>,
+}
 
 /// A table of joint values that is gone through row by row.
 #[derive(Debug)]
@@ -33,19 +46,18 @@ impl<'a> FkTable<'a> {
         self.state(row, fields).map(|_| ())
     }
 
-    /// Link poses of a row, counted from 0: `{"row": 0, "links": {"panda_link0": [16 numbers], ...}}`. The matrices are
-    /// flat, row after row, so that entries 3, 7 and 11 are the position in metres; they are poses in the base link's
-    /// frame.
+    /// Link poses of a row, counted from 0.
     ///
     /// # Errors
     /// See [`check`](Self::check).
-    pub fn row<F: AsRef<str>>(&self, row: usize, fields: &[F]) -> Result<Value> {
+    pub fn row<F: AsRef<str>>(&self, row: usize, fields: &[F]) -> Result<FkRow> {
         let state = self.state(row, fields)?;
-        let mut links = Map::new();
-        for (link, pose) in self.model.links.iter().zip(self.model.fk(&state)) {
-            links.insert(link.name.clone(), json!(pose.to_matrix4()));
-        }
-        Ok(json!({ "row": row, "links": links }))
+        let links = self.model.links.iter().zip(self.model.fk(&state));
+        let links = links.map(|(link, pose)| (link.name.clone(), pose.to_matrix4()));
+        Ok(FkRow {
+            row,
+            links: links.collect(),
+        })
     }
 
     fn state<F: AsRef<str>>(&self, row: usize, fields: &[F]) -> Result<JointState> {

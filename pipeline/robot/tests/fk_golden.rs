@@ -126,12 +126,12 @@ fn the_table_form_follows_mimic_joints_and_names_its_errors() {
     let header: Vec<String> = ["panda_joint1", " finger_joint "].map(String::from).to_vec();
     let table = FkTable::new(&model, &header).unwrap();
     let row = table.row(0, &["0.5", " 0.3"]).unwrap();
-    assert_eq!(table.row(1, &["0", "0"]).unwrap()["row"], 1);
+    assert_eq!(table.row(1, &["0", "0"]).unwrap().row, 1);
     let state = model
         .joint_state([("panda_joint1", 0.5), ("finger_joint", 0.3)])
         .unwrap();
     let expected = model.fk(&state)[model.link_id("right_inner_finger").unwrap()].to_matrix4();
-    assert_eq!(numbers(&row["links"]["right_inner_finger"]), expected);
+    assert_eq!(row.links["right_inner_finger"], expected);
     let error = |header: &[&str], row: &[&str]| {
         let table = FkTable::new(&model, header);
         table.and_then(|table| table.check(0, row)).unwrap_err().to_string()

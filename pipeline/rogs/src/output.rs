@@ -7,6 +7,7 @@ use std::fmt;
 use std::io::{ErrorKind, Write as _};
 
 use rogs_schemas::shown;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 /// Standard output refused a result.
@@ -21,25 +22,70 @@ impl fmt::Display for CannotPrint {
 
 impl std::error::Error for CannotPrint {}
 
-/// Prints one JSON value, indented.
-pub(crate) fn json<T: Serialize>(value: &T) -> anyhow::Result<()> {
-    print(&shown::json(&serde_json::to_string_pretty(value)?))
+/// A value that a command prints with `--json`. `commands/formats.rs` gives each its name and version.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` has no name among the JSON outputs",
+    note = "give it a line in `commands/formats.rs`, and derive `Serialize` and `JsonSchema`"
+)]
+pub(crate) trait Format: Serialize + JsonSchema {
+    /// Its name, which `rogs schema` takes.
+    const NAME: &'static str;
+    /// Its version: goes up when something that was there changes or goes, not when something is added.
+    const VERSION: u32;
+
+    /// What the entry `format` of the value says: `rogs.status/1`.
+    fn format() -> String {
+        format!("rogs.{}/{}", Self::NAME, Self::VERSION)
+    }
 }
 
-/// Prints a JSON array, indented as [`json`] does, element by element: it need not fit into memory.
-pub(crate) fn json_array<T: Serialize>(values: impl Iterator<Item = anyhow::Result<T>>) -> anyhow::Result<()> {
+/// Values of one kind, where there may be any number of them.
+#[derive(Debug, Serialize, JsonSchema)]
+pub(crate) struct Items<T> {
+    /// The values.
+    pub(crate) items: Vec<T>,
+}
+
+/// A value behind what it is.
+#[derive(Serialize)]
+struct Labelled<'a, T> {
+    format: String,
+    #[serde(flatten)]
+    value: &'a T,
+}
+
+/// Prints one JSON value, indented, with its format.
+pub(crate) fn json<T: Format>(value: &T) -> anyhow::Result<()> {
+    let format = T::format();
+    print(&shown::json(&serde_json::to_string_pretty(&Labelled {
+        format,
+        value,
+    })?))
+}
+
+/// Prints what [`json`] would print of [`Items`], item by item: they need not fit into memory.
+pub(crate) fn json_items<T: Serialize>(values: impl Iterator<Item = anyhow::Result<T>>) -> anyhow::Result<()>
+where
+    Items<T>: Format,
+{
     let mut out = std::io::BufWriter::new(std::io::stdout().lock());
     let mut write = |text: &str| ended(out.write_all(text.as_bytes()));
-    let mut separator = "[\n  ";
+    let head = format!("{{\n  \"format\": \"{}\",\n  \"items\": [", Items::<T>::format());
+    let (mut separator, mut end) = (format!("{head}\n    "), format!("{head}]\n}}\n"));
     for value in values {
-        let value = serde_json::to_string_pretty(&value?)?.replace('\n', "\n  ");
-        if !write(separator)? || !write(&shown::json(&value))? {
+        let value = serde_json::to_string_pretty(&value?)?.replace('\n', "\n    ");
+        if !write(&separator)? || !write(&shown::json(&value))? {
             return Ok(());
         }
-        separator = ",\n  ";
+        (separator, end) = (",\n    ".to_owned(), "\n  ]\n}\n".to_owned());
     }
-    write(if separator.starts_with('[') { "[]\n" } else { "\n]\n" })?;
+    write(&end)?;
     ended(out.flush()).map(|_| ())
+}
+
+/// Prints a JSON schema, which says itself what it is.
+pub(crate) fn schema(schema: &serde_json::Value) -> anyhow::Result<()> {
+    print(&shown::json(&serde_json::to_string_pretty(schema)?))
 }
 
 /// Prints text and a line end where it lacks one.

@@ -5,6 +5,7 @@ use std::path::Path;
 use rayon::prelude::*;
 use rogs_schemas::ids::safe_name;
 use rogs_worker::{StageError, StageResult};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::fault::io_error;
@@ -14,7 +15,7 @@ use crate::layouts::{
 use crate::pointworld;
 
 /// One episode that can be ingested.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct EpisodeListing {
     /// Id in the dataset.
     pub episode_id: String,

@@ -12,6 +12,7 @@ use rogs_schemas::EpisodeFrame;
 use rogs_schemas::episode as layout;
 use rogs_schemas::records::clip::PROCEDURAL_NOTE;
 use rogs_schemas::records::origin::ReferenceOrigin;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::cameras::{CAMERA_NAMES, CAMERAS, EpisodeCamera, Mount};
@@ -32,7 +33,7 @@ pub const ROBOT_FOLDER: &str = "robot";
 pub const EPISODES_FOLDER: &str = "episodes";
 
 /// What a dataset holds.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct DatasetSummary {
     /// URDF of the robot.
     pub robot: PathBuf,

@@ -11,6 +11,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use rogs_schemas::{ClipId, shown};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 pub use progress::ProgressMode;
@@ -83,7 +84,7 @@ impl RunOptions {
 }
 
 /// What a run came to.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct RunSummary {
     /// Name of the run.
     pub name: String,
@@ -104,7 +105,7 @@ pub struct RunSummary {
 }
 
 /// Units by outcome.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, JsonSchema)]
 pub struct UnitCounts {
     /// All.
     pub total: usize,
@@ -121,7 +122,7 @@ pub struct UnitCounts {
 }
 
 /// Clips by outcome.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, JsonSchema)]
 pub struct ClipCounts {
     /// All.
     pub total: usize,
@@ -134,7 +135,7 @@ pub struct ClipCounts {
 }
 
 /// A unit that failed.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct UnitFailure {
     /// The clip.
     pub clip: ClipId,

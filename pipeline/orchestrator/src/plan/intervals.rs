@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::model::{Plan, WorkUnit};
 
 /// Clips that are the same frames of their episodes.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct ClipInterval {
     /// Episode frame at which they start; none where the stage decides.
     pub start: Option<u64>,

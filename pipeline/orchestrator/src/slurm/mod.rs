@@ -6,6 +6,7 @@ mod script;
 use std::collections::{BTreeSet, HashSet};
 use std::path::Path;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use self::client::{array_limit, cancelled, sbatch};
@@ -31,10 +32,8 @@ const UNKNOWN_MEMORY: u64 = 4 << 30;
 const MAX_DOUBLINGS: u32 = 3;
 
 /// What was, or would be, submitted.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct Submission {
-    /// Version of this value.
-    pub format: &'static str,
     /// Shards with something to do.
     pub shards: Vec<u32>,
     /// Number of shards of the plan.
@@ -46,9 +45,6 @@ pub struct Submission {
     /// Job ids, in the order of the scripts; empty in a dry run.
     pub ids: Vec<String>,
 }
-
-/// Version of [`Submission`].
-const FORMAT: &str = "rogs-submission 1";
 
 /// A line of `slurm/submissions.jsonl`.
 #[derive(Debug, Serialize, Deserialize)]
@@ -133,7 +129,6 @@ fn prepare(prepared: &Prepared, finally: Option<&[String]>) -> Result<Submission
         .collect();
     if open.is_empty() {
         return Ok(Submission {
-            format: FORMAT,
             shards: Vec::new(),
             shard_count,
             scripts: Vec::new(),
@@ -175,7 +170,6 @@ fn prepare(prepared: &Prepared, finally: Option<&[String]>) -> Result<Submission
         scripts.push(script);
     }
     Ok(Submission {
-        format: FORMAT,
         shards: shards.into_iter().collect(),
         shard_count,
         scripts,

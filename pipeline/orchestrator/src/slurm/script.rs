@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::error::Result;
@@ -22,7 +23,7 @@ pub(super) fn units_file(plan: &Plan) -> PathBuf {
 }
 
 /// One job script.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct Script {
     /// Stage, or `report`.
     pub name: String,

@@ -5,6 +5,8 @@ use std::process::ExitCode;
 use anyhow::Context as _;
 use clap::CommandFactory as _;
 use clap_complete::Shell;
+use schemars::JsonSchema;
+use serde::Serialize;
 
 use super::CommandLine;
 use crate::output;
@@ -22,12 +24,24 @@ pub(crate) struct Args {
     json: bool,
 }
 
+/// What is printed as JSON.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct Script {
+    /// The shell.
+    shell: String,
+    /// What it reads.
+    script: String,
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut CommandLine::command(), "rogs", &mut script);
     let script = String::from_utf8(script).context("the script is not UTF-8")?;
     if args.json {
-        output::json(&serde_json::json!({ "shell": args.shell.to_string(), "script": script }))?;
+        output::json(&Script {
+            shell: args.shell.to_string(),
+            script,
+        })?;
     } else {
         output::text(&script)?;
     }

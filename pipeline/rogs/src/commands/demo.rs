@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use rogs_report::{Form, RunResults};
 use rogs_score::tables::{Table, TableId, TableOptions};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::run::{Machine, RunOutcome, describe, execute};
@@ -31,8 +32,8 @@ pub(crate) struct Args {
 }
 
 /// What the demo prints as JSON.
-#[derive(Debug, Serialize)]
-struct DemoOutcome {
+#[derive(Debug, Serialize, JsonSchema)]
+pub(crate) struct DemoOutcome {
     #[serde(flatten)]
     outcome: RunOutcome,
     /// The manifest that was run.

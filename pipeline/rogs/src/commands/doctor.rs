@@ -4,9 +4,10 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
-use crate::output;
+use crate::output::{self, Items};
 
 /// Shows what this machine offers and what is missing.
 #[derive(Debug, clap::Args)]
@@ -23,8 +24,8 @@ pub(crate) struct Args {
 }
 
 /// One finding.
-#[derive(Debug, Serialize)]
-struct Finding {
+#[derive(Debug, Serialize, JsonSchema)]
+pub(crate) struct Finding {
     /// What was looked at.
     name: &'static str,
     /// `ok`, `note` or `problem`.
@@ -49,8 +50,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     ];
     findings.push(folder(&args.folder));
     findings.extend(args.manifest.as_deref().map(manifest));
+    let sound = findings.iter().all(|finding| finding.state != "problem");
     if args.json {
-        output::json(&findings)?;
+        output::json(&Items { items: findings })?;
     } else {
         let mut text = String::new();
         for finding in &findings {
@@ -61,7 +63,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         }
         output::text(&text)?;
     }
-    let sound = findings.iter().all(|finding| finding.state != "problem");
     Ok(if sound { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 

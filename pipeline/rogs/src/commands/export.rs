@@ -15,6 +15,7 @@ use rogs_schemas::protocol::JobId;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::output;
@@ -80,6 +81,13 @@ struct Chunk<'a> {
     actions: Vec<[f64; 10]>,
 }
 
+/// What is printed as JSON.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct Folders {
+    /// One a clip.
+    folders: Vec<PathBuf>,
+}
+
 const CONVENTION: &str = "row i: translation (m) and the first two columns of the rotation of inv(T_i) T_(i+1), where T is the \
                           link's pose in the base right-multiplied by Rz(+90 degrees); then 1 - gripper at the end of the step";
 
@@ -105,7 +113,7 @@ fn rollout_inputs(args: &RolloutInputs) -> anyhow::Result<ExitCode> {
         written.push(export_clip(&plan, clip, args).with_context(|| format!("clip `{}`", plan.clips[clip].id))?);
     }
     if args.json {
-        output::json(&serde_json::json!({ "folders": written }))?;
+        output::json(&Folders { folders: written })?;
     } else {
         for folder in &written {
             output::text(&folder.display().to_string())?;

@@ -9,6 +9,7 @@ use rogs_field::{Axes, TimedField, gaussians_in, write_packed_ply, write_ply};
 use rogs_files::Draft;
 use rogs_schemas::units::LengthUnit;
 use rogs_splat::{Colour, Gaussians};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::film::times;
@@ -79,12 +80,17 @@ impl From<AxesArg> for Axes {
 }
 
 /// What was written.
-#[derive(Debug, Serialize)]
-struct Written {
+#[derive(Debug, Serialize, JsonSchema)]
+pub(crate) struct Written {
+    /// The file or folder.
     path: PathBuf,
+    /// Times in it, in 0..1.
     times: Vec<f64>,
+    /// Gaussians of each time.
     gaussians: usize,
+    /// Gaussians of the field that are not in it.
     left_out: usize,
+    /// Length of all files.
     bytes: u64,
 }
 

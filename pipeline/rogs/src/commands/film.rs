@@ -13,6 +13,7 @@ use rogs_schemas::units::LengthUnit;
 use rogs_schemas::{CameraIndex, FrameIndex};
 use rogs_splat::{Gaussians, RasterCamera, RasterConfig, RasterDevice, Render};
 use rogs_video::{Error as FilmError, Film, FilmForm};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::scene::{Scene, bytes_of};
@@ -61,14 +62,19 @@ pub(crate) enum Beside {
 }
 
 /// What was made.
-#[derive(Debug, Serialize)]
-struct Made {
+#[derive(Debug, Serialize, JsonSchema)]
+pub(crate) struct Made {
+    /// The film, or the folder of its images.
     video: PathBuf,
+    /// Number of frames.
     frames: usize,
+    /// Their rate.
     frames_per_second: f64,
-    /// Of one frame.
+    /// Of one frame, pixels.
     width: u32,
+    /// Of one frame, pixels.
     height: u32,
+    /// Times that it shows, in 0..1.
     times: Vec<f64>,
 }
 

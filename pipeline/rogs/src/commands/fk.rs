@@ -13,7 +13,7 @@ use crate::output;
 
 /// Computes link poses of a robot for every row of a table of joint values.
 ///
-/// Prints a JSON array with one object a row; its `links` maps each link's name to its row-major 4x4 pose in the base
+/// Prints JSON with one item a row; its `links` maps each link's name to its row-major 4x4 pose in the base
 /// link's frame (metres).
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -57,7 +57,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         let record = record.with_context(place)?;
         table.row(row, &fields(&record)).with_context(place)
     });
-    output::json_array(rows)?;
+    output::json_items(rows)?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use rogs_ingest::{EpisodeListing, count_frames, list_episodes};
 use rogs_orchestrator::columns;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::stage_error;
@@ -22,9 +23,9 @@ pub(crate) struct Args {
 }
 
 /// What is printed as JSON.
-#[derive(Serialize)]
-struct Listed {
-    format: &'static str,
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct Listed {
+    /// The episodes.
     episodes: Vec<EpisodeListing>,
 }
 
@@ -32,8 +33,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let mut episodes = list_episodes(&args.folder).map_err(stage_error)?;
     count_frames(&args.folder, &mut episodes);
     if args.json {
-        let format = "rogs-list 1";
-        output::json(&Listed { format, episodes })?;
+        output::json(&Listed { episodes })?;
         return Ok(ExitCode::SUCCESS);
     }
     let head = ["episode", "layout", "frames", "folder", "selector"].map(str::to_owned);

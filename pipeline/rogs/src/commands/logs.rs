@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use rogs_orchestrator::logs::{logs, text};
 
-use crate::output;
+use crate::output::{self, Items};
 
 /// Shows what happened to one clip, attempt by attempt.
 #[derive(Debug, clap::Args)]
@@ -22,7 +22,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let attempts = logs(&args.run, &args.clip)?;
     if args.json {
-        output::json(&attempts)?;
+        output::json(&Items { items: attempts })?;
     } else {
         output::text(&attempts.iter().map(text).collect::<Vec<_>>().join("\n"))?;
     }

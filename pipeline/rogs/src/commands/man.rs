@@ -5,6 +5,8 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use clap::CommandFactory as _;
+use schemars::JsonSchema;
+use serde::Serialize;
 
 use super::CommandLine;
 use crate::output;
@@ -20,6 +22,13 @@ pub(crate) struct Args {
     json: bool,
 }
 
+/// What is printed as JSON.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct Pages {
+    /// The pages written.
+    files: Vec<PathBuf>,
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let folder = args.out.display();
     std::fs::create_dir_all(&args.out).with_context(|| format!("making `{folder}`"))?;
@@ -33,7 +42,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         Ok(())
     })?;
     if args.json {
-        output::json(&files)?;
+        output::json(&Pages { files })?;
     } else {
         let lines: Vec<String> = files.iter().map(|file| file.display().to_string()).collect();
         output::text(&lines.join("\n"))?;

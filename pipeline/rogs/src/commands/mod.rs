@@ -9,6 +9,7 @@ mod export;
 mod export_field;
 mod film;
 mod fk;
+mod formats;
 mod gc;
 mod init;
 mod inspect;

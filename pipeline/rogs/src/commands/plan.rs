@@ -14,7 +14,7 @@ use rogs_orchestrator::stage::StageId;
 use rogs_weights::BUILTIN;
 
 use super::run::Machine;
-use crate::output;
+use crate::output::{self, Items};
 
 /// Shows what a run would make, how long and how large it will be, and with `--explain` why each output is not up to date.
 #[derive(Debug, clap::Args)]
@@ -58,7 +58,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         };
         let explanations: Vec<_> = clips.into_iter().flat_map(|clip| plan.explain_clip(clip)).collect();
         if args.json {
-            output::json(&explanations)?;
+            output::json(&Items { items: explanations })?;
         } else if explanations.is_empty() {
             output::text("everything is up to date")?;
         } else {

@@ -10,6 +10,7 @@ use rogs_geometry::{PosedCamera, Recon};
 use rogs_schemas::units::LengthUnit;
 use rogs_schemas::{Device, Intrinsics};
 use rogs_splat::{Gaussians, RasterCamera, RasterConfig, RasterDevice, Render};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::export_field::AxesArg;
@@ -17,7 +18,7 @@ use super::film::{self, FilmArgs, Shooting};
 use super::network::BesideArgs;
 use super::scene::{FieldFile, Scene, bytes_of, read_ply};
 use super::viewpoint::{CAMERA_HELP, Place, Scenery, Shot, Viewpoint};
-use crate::output;
+use crate::output::{self, Items};
 
 /// Renders a field at any time, or any 3DGS PLY, to PNG, EXR, npz and films; writes a field as PLY.
 #[derive(Debug, clap::Args)]
@@ -79,13 +80,19 @@ pub(crate) struct ViewArgs {
 }
 
 /// What was rendered.
-#[derive(Debug, Serialize)]
-struct Rendered {
+#[derive(Debug, Serialize, JsonSchema)]
+pub(crate) struct Rendered {
+    /// Name of the camera.
     camera: String,
+    /// What was written; the files of the scene as a whole stand with the first camera.
     files: Vec<PathBuf>,
+    /// Time in 0..1; null of a PLY file.
     time: Option<f64>,
+    /// Gaussians of the scene.
     gaussians: usize,
+    /// Gaussians that this camera sees.
     visible: usize,
+    /// Gaussians that were left out because their values are invalid.
     invalid: usize,
 }
 
@@ -363,7 +370,7 @@ fn render_scene(
         if let Some(first) = rendered.first_mut() {
             first.files.splice(0..0, whole);
         }
-        output::json(&rendered)?;
+        output::json(&Items { items: rendered })?;
         return Ok(ExitCode::SUCCESS);
     }
     if let Some(file) = &whole {

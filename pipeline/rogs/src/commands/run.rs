@@ -10,6 +10,7 @@ use rogs_orchestrator::{Exit, Interrupts, Prepared};
 use rogs_report::write_report;
 use rogs_schemas::protocol::MOST_THREADS;
 use rogs_schemas::shown;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::output;
@@ -55,7 +56,7 @@ fn at_most<const MOST: usize>(text: &str) -> Result<usize, String> {
 }
 
 /// What a finished run prints as JSON.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Serialize, JsonSchema)]
 pub(crate) struct RunOutcome {
     #[serde(flatten)]
     pub(crate) summary: RunSummary,

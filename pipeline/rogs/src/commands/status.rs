@@ -5,6 +5,8 @@ use std::process::ExitCode;
 
 use rogs_orchestrator::status::status;
 use rogs_report::write_report;
+use schemars::JsonSchema;
+use serde::Serialize;
 
 use crate::output;
 
@@ -29,11 +31,18 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::from(status.exit.code()))
 }
 
+/// What the making of a report prints as JSON.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct Report {
+    /// The page.
+    report: PathBuf,
+}
+
 /// Makes the report of a run folder anew.
 pub(crate) fn make_report(run: &Path, json: bool) -> anyhow::Result<ExitCode> {
     let report = write_report(run)?;
     if json {
-        output::json(&serde_json::json!({ "report": report }))?;
+        output::json(&Report { report })?;
     } else {
         output::text(&format!("report: {}", report.display()))?;
     }

@@ -9,6 +9,8 @@ use rogs_synth::{
     DatasetSummary, Distortions, EPISODES_FOLDER, ROBOT_FOLDER, ROBOT_SPEC_FILE, ROBOT_URDF_FILE, Resolution,
     SynthConfig, generate_episode, write_dataset_with, write_pointworld, write_rollout,
 };
+use schemars::JsonSchema;
+use serde::Serialize;
 
 use crate::output;
 
@@ -84,6 +86,15 @@ fn parse_size(text: &str) -> Result<[u32; 2], String> {
     }
 }
 
+/// What is printed as JSON.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct Made {
+    /// The episodes and their robot.
+    dataset: DatasetSummary,
+    /// The manifest that runs them.
+    manifest: PathBuf,
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let noise = args.calibration_noise.as_deref();
     let config = SynthConfig {
@@ -100,7 +111,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         make_rollouts(args, &config, &manifest)?;
     }
     if args.json {
-        output::json(&serde_json::json!({ "dataset": summary, "manifest": manifest }))?;
+        output::json(&Made {
+            dataset: summary,
+            manifest,
+        })?;
     } else {
         output::text(&format!(
             "{} episodes of {} frames, {} new\nrun them: rogs run {}",

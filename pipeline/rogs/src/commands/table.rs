@@ -90,10 +90,10 @@ fn print(runs: &[PathBuf], id: TableId, print: &Print) -> anyhow::Result<ExitCod
     let counts = print.selection.as_deref().map(selection_counts).transpose()?;
     let table = results(runs)?.table(id, counts.as_ref(), options)?;
     let form = match print.format {
-        _ if print.json => Form::Json,
+        Format::Json => return output::json(&table).map(|()| ExitCode::SUCCESS),
+        _ if print.json => return output::json(&table).map(|()| ExitCode::SUCCESS),
         Format::Text => Form::Text,
         Format::Csv => Form::Csv,
-        Format::Json => Form::Json,
         Format::Latex => Form::Latex,
     };
     output::text(&form.print(&table)?)?;

@@ -6,6 +6,7 @@ use std::process::ExitCode;
 
 use rogs_orchestrator::verify::{Verification, remove_bad, verify};
 use rogs_schemas::shown;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::run::{Machine, RunOutcome, describe, execute};
@@ -24,13 +25,13 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// What a repair prints as JSON.
-#[derive(Debug, Serialize)]
-struct Repair {
-    /// What was found, and removed where it was bad.
+/// What is printed as JSON.
+#[derive(Debug, Serialize, JsonSchema)]
+pub(crate) struct Verified {
+    /// What was found; a repair removed what was bad.
     #[serde(flatten)]
     found: Verification,
-    /// The run that made it again; absent when nothing was bad.
+    /// The run that made it again; absent where nothing was bad or nothing was to be repaired.
     #[serde(skip_serializing_if = "Option::is_none")]
     made_again: Option<RunOutcome>,
 }
@@ -41,12 +42,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         return repair(args);
     }
     let found = verify(&args.run)?;
+    let exit = found.exit();
     output::after_work(if args.json {
-        output::json(&found)
+        let made_again = None;
+        output::json(&Verified { found, made_again })
     } else {
         output::text(&text(&found))
     })?;
-    Ok(ExitCode::from(found.exit().code()))
+    Ok(ExitCode::from(exit.code()))
 }
 
 /// Removes what is wrong and makes it again.
@@ -60,7 +63,7 @@ fn repair(args: &Args) -> anyhow::Result<ExitCode> {
     };
     let exit = made_again.as_ref().map_or(found.exit(), |outcome| outcome.summary.exit);
     let printed = if args.json {
-        output::json(&Repair { found, made_again })
+        output::json(&Verified { found, made_again })
     } else {
         let again = made_again.as_ref().map(describe).unwrap_or_default();
         output::text(&format!("{}{again}", text(&found)))

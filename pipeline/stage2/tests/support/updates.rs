@@ -127,10 +127,7 @@ pub(crate) fn released_loop(golden: &Golden, layout: ColourLayout, (rows, column
         }
 
         // Neighbours of the file's own points: two that are equally far would change places for a last bit of ours.
-        let points: Vec<[f32; 3]> = placed
-            .chunks_exact(59)
-            .map(|row| [row[0], row[1], row[2]])
-            .collect();
+        let points: Vec<[f32; 3]> = placed.chunks_exact(59).map(|row| [row[0], row[1], row[2]]).collect();
         let indices = nearest_neighbours(&points, 8);
         // Stored as the upstream kernel's input: the inverse activation of opacity, everything else as it is.
         let seen: Vec<f32> = attributes.clone();

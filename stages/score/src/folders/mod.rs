@@ -7,6 +7,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::metrics::{SsimVariant, mean};
@@ -18,7 +19,7 @@ pub use pair::{DEPTH_RANGE_M, Distance, PairScores};
 use pair::score_pair;
 
 /// Scores of all pairs. A mean is over the pairs that have the value; their number stands beside it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct FolderScores {
     /// SSIM variant name.
     pub ssim_variant: String,
@@ -47,7 +48,7 @@ pub struct FolderScores {
 }
 
 /// How many pairs have a value.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, JsonSchema)]
 pub struct Counts {
     /// Of PSNR.
     pub psnr: usize,

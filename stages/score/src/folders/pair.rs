@@ -1,5 +1,6 @@
 //! Scores of one image or depth map against its reference.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::error::FolderError;
@@ -10,7 +11,7 @@ use crate::pictures::{Content, Picture};
 pub const DEPTH_RANGE_M: [f32; 2] = [0.1, 5.0];
 
 /// Scores of one pair of images or depth maps. What does not apply, or cannot be measured, is none.
-#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, JsonSchema)]
 pub struct PairScores {
     /// File name, or the prediction's path for two files; with the array and its index for files of arrays.
     pub name: String,

@@ -1,5 +1,8 @@
 //! Names of the tables, and why one cannot be made.
 
+use std::borrow::Cow;
+
+use schemars::JsonSchema;
 use serde::{Serialize, Serializer};
 
 use crate::summary::DuplicateSheet;
@@ -96,6 +99,16 @@ impl std::str::FromStr for TableId {
             .into_iter()
             .find(|id| id.name() == text)
             .ok_or_else(|| TableError::UnknownTable { id: text.to_owned() })
+    }
+}
+
+impl JsonSchema for TableId {
+    fn schema_name() -> Cow<'static, str> {
+        "TableId".into()
+    }
+
+    fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
+        schemars::json_schema!({ "type": "string", "enum": Self::ALL.map(Self::name) })
     }
 }
 

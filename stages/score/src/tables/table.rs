@@ -1,11 +1,12 @@
 //! A finished table: columns, rows, cells, notes. Programs print it in the form that they need.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::tables::id::TableId;
 
 /// A finished table.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Table {
     /// Id.
     pub id: TableId,
@@ -22,7 +23,7 @@ pub struct Table {
 }
 
 /// One column.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct Column {
     /// Heading with its unit.
     pub name: &'static str,
@@ -47,7 +48,7 @@ impl Column {
 }
 
 /// Which direction of a number is better.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Better {
     /// Larger numbers.
@@ -57,7 +58,7 @@ pub enum Better {
 }
 
 /// One row.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Row {
     /// Heading of the group the row belongs to: the setting; empty when there is one group only.
     pub group: String,
@@ -89,7 +90,7 @@ impl Row {
 }
 
 /// One cell.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Cell {
     /// Nothing was measured. Printed as a dash, never as 0.

@@ -12,6 +12,7 @@ use clap::CommandFactory as _;
 use rogs_ingest::{EpisodeListing, EpisodeOutline, count_frames, list_episodes, list_references, outline};
 use rogs_orchestrator::Error;
 use rogs_schemas::ids::safe_name;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use self::robot::FoundRobot;
@@ -58,16 +59,19 @@ struct Found {
 }
 
 /// What is printed.
-#[derive(Serialize)]
-struct Written {
-    format: &'static str,
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct Written {
+    /// The manifest written.
     manifest: PathBuf,
+    /// Layouts of the episodes, as `rogs list` names them.
     layouts: Vec<String>,
+    /// Number of episodes.
     episodes: usize,
     /// The URDF, as the manifest writes it.
     urdf: Option<String>,
     /// Name of the preset that fits it.
     preset: Option<&'static str>,
+    /// The calibration file, as the manifest writes it.
     calibration: Option<String>,
     /// What the manifest still lacks, and how to get it.
     missing: Vec<String>,
@@ -118,7 +122,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     };
     rogs_files::write_bytes(&manifest, text::manifest(&found, &manifest).as_bytes())?;
     let told = Written {
-        format: "rogs-init 1",
         layouts: found.layouts(),
         episodes: found.episodes.len(),
         urdf: found.robot.urdf.clone(),

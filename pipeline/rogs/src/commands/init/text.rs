@@ -15,7 +15,7 @@ pub(super) fn manifest(found: &Found, path: &Path) -> String {
         "# {} episodes ({}), written by `rogs init`.\n#\n\
          #   rogs plan {file}     what will be made, with which weights, how long it takes\n\
          #   rogs run {file}      makes it; the same command goes on after a stop\n#\n\
-         # Paths are relative to this file. `rogs schema` describes every key.\n\n\
+         # Paths are relative to this file. `rogs schema manifest` describes every key.\n\n\
          [run]\nname = {}\n",
         found.episodes.len(),
         found.layouts().join(", "),

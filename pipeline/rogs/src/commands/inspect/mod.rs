@@ -8,6 +8,7 @@ use std::process::ExitCode;
 
 use rogs_orchestrator::columns;
 use rogs_r4c::{InspectReport, inspect};
+use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -25,12 +26,11 @@ pub(crate) struct Args {
 }
 
 /// What is printed as JSON.
-#[derive(Serialize)]
-struct Inspected {
-    format: &'static str,
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct Inspected {
     #[serde(flatten)]
     report: InspectReport,
-    /// What the record says of itself.
+    /// What the record says of itself; what that is depends on `schema`.
     #[serde(skip_serializing_if = "Option::is_none")]
     header: Option<Value>,
 }
@@ -40,7 +40,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let header = header::header(&args.file, &report.schema)?;
     if args.json {
         output::json(&Inspected {
-            format: "rogs-inspect 1",
             report,
             header: header.map(|header| header.value),
         })?;

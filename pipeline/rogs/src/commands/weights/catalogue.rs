@@ -1,7 +1,10 @@
 //! The public weight files that this program knows where to find.
 
+use schemars::JsonSchema;
+use serde::Serialize;
+
 /// One public file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
 pub(crate) struct PublicFile {
     /// Name on the command line.
     pub(crate) name: &'static str,

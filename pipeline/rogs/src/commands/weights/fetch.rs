@@ -8,7 +8,8 @@ use anyhow::{Context as _, bail, ensure};
 
 use super::catalogue::{PUBLIC_FILES, PublicFile};
 use super::download::{Download, Event, Expected, client, stated_sha256};
-use crate::output;
+use super::told::Fetched;
+use crate::output::{self, Items};
 
 /// What to fetch.
 #[derive(Debug, clap::Args)]
@@ -84,10 +85,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         Event::Hashing => output::note("  checking its SHA-256"),
     })?;
     if args.json {
-        output::json(&serde_json::json!({
-            "name": file.name, "file": destination.display().to_string(), "bytes": fetched.bytes, "sha256": fetched.sha256,
-            "sha256_from": whose, "resumed_from": fetched.resumed_from,
-        }))?;
+        output::json(&Fetched {
+            name: file.name,
+            file: destination,
+            bytes: fetched.bytes,
+            sha256: fetched.sha256,
+            sha256_from: whose,
+            resumed_from: fetched.resumed_from,
+        })?;
     } else {
         output::text(&format!(
             "`{}`: {} bytes, SHA-256 {}\nnext: {}",
@@ -140,15 +145,8 @@ fn progress(done: u64, total: Option<u64>) -> String {
 
 fn list(json: bool) -> anyhow::Result<()> {
     if json {
-        let files: Vec<_> = PUBLIC_FILES
-            .iter()
-            .map(|file| {
-                serde_json::json!({
-                    "name": file.name, "url": file.url, "sha256": file.sha256, "what": file.what, "licence": file.licence,
-                })
-            })
-            .collect();
-        return output::json(&files);
+        let items = PUBLIC_FILES.to_vec();
+        return output::json(&Items { items });
     }
     let mut text = String::new();
     for file in PUBLIC_FILES {

@@ -1,8 +1,9 @@
 //! `rogs weights`: bringing network weights in, and checking them.
 
-mod catalogue;
+pub(super) mod catalogue;
 mod download;
 mod fetch;
+pub(super) mod told;
 mod verify;
 
 use std::path::PathBuf;
@@ -14,6 +15,7 @@ use rogs_stage1::{ImportRequest, generate_stage1, import_stage1, merge_lora};
 use rogs_stage2::{ReleasedImport, ReleasedModel, import_released};
 use rogs_weights::{ElementType, TensorFile, average};
 
+use self::told::{Averaged, Generated, Imported, Listed, Merged, Shape};
 use crate::output;
 
 /// Fetches, imports, verifies, makes, lists, merges and averages weights.
@@ -172,7 +174,12 @@ pub(crate) fn run(args: Args) -> anyhow::Result<ExitCode> {
                 };
                 let written = import_released(&request)?;
                 if json {
-                    output::json(&serde_json::json!({ "out": out, "tensors": written }))?;
+                    output::json(&Imported {
+                        out,
+                        tensors: written,
+                        origin: None,
+                        from_a_seed: Vec::new(),
+                    })?;
                 } else {
                     output::text(&format!("{written} tensors written to `{}`", out.display()))?;
                 }
@@ -189,9 +196,12 @@ pub(crate) fn run(args: Args) -> anyhow::Result<ExitCode> {
             let report = import_stage1(&request)?;
             let origin = format!("{:?}", report.origin);
             if json {
-                output::json(&serde_json::json!({
-                    "out": out, "tensors": report.written, "origin": origin, "from_a_seed": report.fresh,
-                }))?;
+                output::json(&Imported {
+                    out,
+                    tensors: report.written,
+                    origin: Some(origin),
+                    from_a_seed: report.fresh,
+                })?;
             } else {
                 output::text(&format!(
                     "{} tensors written to `{}` ({origin} file, {} start from a seed)",
@@ -216,7 +226,11 @@ pub(crate) fn run(args: Args) -> anyhow::Result<ExitCode> {
                 true,
             )?;
             if json {
-                output::json(&serde_json::json!({ "out": out, "configuration": configuration, "seed": seed }))?;
+                output::json(&Generated {
+                    out,
+                    configuration,
+                    seed,
+                })?;
             } else {
                 output::text(&format!(
                     "`{}`: seeded weights of `{configuration}`, not trained",
@@ -232,7 +246,7 @@ pub(crate) fn run(args: Args) -> anyhow::Result<ExitCode> {
         } => {
             merge_lora(&input, &out, numbers.into())?;
             if json {
-                output::json(&serde_json::json!({ "out": out }))?;
+                output::json(&Merged { out })?;
             } else {
                 output::text(&format!("merged into `{}`", out.display()))?;
             }
@@ -255,7 +269,7 @@ pub(crate) fn run(args: Args) -> anyhow::Result<ExitCode> {
             let inputs: Vec<(PathBuf, f64)> = inputs.into_iter().zip(shares).collect();
             average(&inputs, &out, numbers.into(), provenance.as_deref())?;
             if json {
-                output::json(&serde_json::json!({ "out": out, "inputs": inputs }))?;
+                output::json(&Averaged { out, inputs })?;
             } else {
                 output::text(&format!(
                     "average of {} files written to `{}`",
@@ -285,13 +299,12 @@ fn list(file: &std::path::Path, json: bool) -> anyhow::Result<()> {
         .collect();
     let elements: usize = shapes.iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
     if json {
-        let tensors_json: Vec<_> = shapes
-            .iter()
-            .map(|(name, shape)| serde_json::json!({ "name": name, "shape": shape }))
-            .collect();
-        return output::json(&serde_json::json!({
-            "tensors": tensors_json, "elements": elements, "metadata": tensors.metadata(),
-        }));
+        let shape = |(name, shape)| Shape { name, shape };
+        return output::json(&Listed {
+            tensors: shapes.into_iter().map(shape).collect(),
+            elements,
+            metadata: tensors.metadata().clone(),
+        });
     }
     let mut text = String::new();
     for (name, shape) in &shapes {

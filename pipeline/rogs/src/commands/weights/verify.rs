@@ -14,6 +14,7 @@ use rogs_weights::ParameterSource;
 use rogs_weights::{CONFIGURATION, KIND, TensorFile, Verification, open_any};
 
 use super::download::{Expected, hash};
+use super::told::{Checked, Misshapen};
 use crate::output;
 
 /// Names listed of each sort of difference.
@@ -191,16 +192,23 @@ fn finish(
 ) -> anyhow::Result<ExitCode> {
     let good = report.is_clean() && broken.is_empty() && summary.hash_is_right != Some(false);
     if json {
-        let misshapen: Vec<_> = report
-            .misshapen
-            .iter()
-            .map(|(name, found, needed)| serde_json::json!({ "name": name, "found": found, "needed": needed }))
-            .collect();
-        output::json(&serde_json::json!({
-            "network": network, "good": good, "sha256": summary.sha256, "sha256_is_right": summary.hash_is_right,
-            "matching": report.matching, "missing": report.missing, "unexpected": report.unexpected,
-            "misshapen": misshapen, "not_finite": broken, "note": summary.note,
-        }))?;
+        let misshapen = |(name, found, needed): &(String, Vec<usize>, Vec<usize>)| Misshapen {
+            name: name.clone(),
+            found: found.clone(),
+            needed: needed.clone(),
+        };
+        output::json(&Checked {
+            network: network.to_owned(),
+            good,
+            sha256: summary.sha256.clone(),
+            sha256_is_right: summary.hash_is_right,
+            matching: report.matching,
+            missing: report.missing.clone(),
+            unexpected: report.unexpected.clone(),
+            misshapen: report.misshapen.iter().map(misshapen).collect(),
+            not_finite: broken.to_vec(),
+            note: summary.note.clone(),
+        })?;
     } else {
         let mut text = format!(
             "{network}: {} tensors as they should be\nSHA-256 {}",
