@@ -13,6 +13,7 @@ use std::str::FromStr;
 use rogs_r4c::source::ROBOT_MODEL;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 /// What the orchestrator knows of a stage.
 #[derive(Debug)]
@@ -80,21 +81,36 @@ pub struct Input {
     pub role: &'static str,
     /// Who provides it.
     pub provider: Provider,
-    /// Where it is not always read: when it is, and needed.
+    /// Where it is not always read: when it is.
     pub when: Option<When>,
 }
 
-/// When an input is read, and needed.
+/// When an input is read.
 #[derive(Debug)]
 pub struct When {
     /// The parameter of the stage that decides.
     pub param: &'static str,
     /// Its value.
     pub is: &'static str,
-    /// What is needed, as a message names it.
-    pub needs: &'static str,
+    /// What is said where nobody provides it then; none where the stage does without.
+    pub needed: Option<Needed>,
+}
+
+/// What is said of an input that is needed and that nobody provides.
+#[derive(Debug)]
+pub struct Needed {
+    /// What it is, as a message names it.
+    pub what: &'static str,
     /// How to provide it.
     pub hint: &'static str,
+}
+
+impl When {
+    /// Whether these parameters of the stage have it read.
+    #[must_use]
+    pub fn holds<'a>(&self, param: impl FnOnce(&str) -> Option<&'a Value>) -> bool {
+        param(self.param).and_then(Value::as_str) == Some(self.is)
+    }
 }
 
 /// Who provides an input.
@@ -297,8 +313,10 @@ stages! {
             Input::when("rollout", Provider::Rollout, When {
                 param: "observations",
                 is: "rollout",
-                needs: "the clips' rollouts",
-                hint: "name their folder: [rollouts] with root = \"FOLDER\" (docs/rollouts.md)",
+                needed: Some(Needed {
+                    what: "the clips' rollouts",
+                    hint: "name their folder: [rollouts] with root = \"FOLDER\" (docs/rollouts.md)",
+                }),
             }),
         ],
         filled: &[("observations", Filled::Observations), ("rollout", Filled::Rollout)],
@@ -347,18 +365,28 @@ stages! {
             CLIP,
             ROBOT,
             Input::of("conditioning", Provider::Stage(StageId::Conditioning)),
+            // Their depth scales every camera. A clip with depth of its own does without.
+            Input::when("references", Provider::Stage(StageId::References), When {
+                param: "attention",
+                is: "camera-wise",
+                needed: None,
+            }),
             Input::of("weights", Provider::Weights(WeightsRole::Lift)),
             Input::when("latents", Provider::Latents, When {
                 param: "tokens",
                 is: "latents",
-                needs: "the clips' latents",
-                hint: "name their folder: [latents] with root = \"FOLDER\" (docs/latents-format.md)",
+                needed: Some(Needed {
+                    what: "the clips' latents",
+                    hint: "name their folder: [latents] with root = \"FOLDER\" (docs/latents-format.md)",
+                }),
             }),
             Input::when("adapter", Provider::Weights(WeightsRole::Adapter), When {
                 param: "tokens",
                 is: "latents",
-                needs: "an adapter",
-                hint: "name it under [weights]: adapter = \"FILE\"",
+                needed: Some(Needed {
+                    what: "an adapter",
+                    hint: "name it under [weights]: adapter = \"FILE\"",
+                }),
             }),
         ],
         filled: &[("weights", Filled::Weights(WeightsRole::Lift))],

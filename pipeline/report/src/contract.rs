@@ -1,8 +1,11 @@
 //! What every method of a run was given, told from its records and the parameters that its outputs were made with.
 
+use std::collections::BTreeSet;
+
 use rogs_orchestrator::plan::Plan;
 use rogs_orchestrator::stage::StageId;
 use rogs_schemas::records::clip::{CameraRole, Clip};
+use rogs_schemas::records::origin::ReferenceKind;
 use rogs_schemas::records::scores::ScoreSheet;
 use rogs_score::summary::{OUTSIDE, OUTSIDE_SCALED};
 use rogs_score::tables::{MethodSignals, NOT_TOLD, SCALE_ONLY};
@@ -16,10 +19,11 @@ pub(crate) fn signals(plan: &Plan, score: usize, sheet: &ScoreSheet, clip: &Clip
         .find(|info| [OUTSIDE, OUTSIDE_SCALED].contains(&&*info.configuration));
     let lift = (plan.upstream(score)).find(|&node| plan.nodes[node].stage == StageId::Lift);
     let own = match (outside, lift) {
-        (Some(info), _) => Own::outside(info.configuration == OUTSIDE_SCALED),
-        (None, Some(lift)) => Own::lifted(&plan.nodes[lift].params, clip),
-        (None, None) => Own::outside(false),
+        (Some(info), _) => Own::outside((info.configuration == OUTSIDE_SCALED).then(|| scale_only(sheet, clip))),
+        (None, Some(lift)) => Own::lifted(&plan.nodes[lift].params, clip, &scale_only(sheet, clip)),
+        (None, None) => Own::outside(None),
     };
+    let tracked = sheet.references.iter().any(|used| used.kind == ReferenceKind::Tracks);
     let evaluated = |there: bool| if there { "evaluation only" } else { "none" }.to_owned();
     let held_out = clip
         .cameras
@@ -39,9 +43,27 @@ pub(crate) fn signals(plan: &Plan, score: usize, sheet: &ScoreSheet, clip: &Clip
             own.mesh,
             own.stereo,
             evaluated(held_out > 0),
-            evaluated(clip.tracks.is_some()),
+            evaluated(tracked),
             own.fitting,
         ],
+    }
+}
+
+/// A scale and nothing else is taken from depth of the source cameras; and what made that depth.
+fn scale_only(sheet: &ScoreSheet, clip: &Clip) -> String {
+    let is_source = |id: &str| {
+        let mut sources = clip.cameras.iter().filter(|camera| camera.role == CameraRole::Source);
+        sources.any(|camera| camera.id == id)
+    };
+    let used = sheet.references.iter();
+    let origins: BTreeSet<&str> = used
+        .filter(|used| used.kind == ReferenceKind::Depth && is_source(&used.camera))
+        .map(|used| used.origin.label())
+        .collect();
+    let origins: Vec<&str> = origins.into_iter().collect();
+    match origins[..] {
+        [] => SCALE_ONLY.to_owned(),
+        _ => format!("{SCALE_ONLY}: {}", origins.join(", ")),
     }
 }
 
@@ -64,18 +86,18 @@ struct Own {
 
 impl Own {
     /// Files of another method say only how their lengths were taken.
-    fn outside(scaled: bool) -> Self {
+    fn outside(scaled: Option<String>) -> Self {
         Self {
             visual: NOT_TOLD.to_owned(),
             states: NOT_TOLD.to_owned(),
             mesh: NOT_TOLD.to_owned(),
-            stereo: if scaled { SCALE_ONLY } else { NOT_TOLD }.to_owned(),
+            stereo: scaled.unwrap_or_else(|| NOT_TOLD.to_owned()),
             fitting: NOT_TOLD.to_owned(),
         }
     }
 
     /// By the parameters of the lift stage, which names what it leaves out.
-    fn lifted(params: &Value, clip: &Clip) -> Self {
+    fn lifted(params: &Value, clip: &Clip, scale_only: &str) -> Self {
         let is = |name: &str, value: &str| params.get(name).and_then(Value::as_str) == Some(value);
         // Both are on unless they are turned off.
         let on = |name: &str| params.get(name).and_then(Value::as_bool).unwrap_or(true);
@@ -112,7 +134,7 @@ impl Own {
                 states.join(", ")
             },
             mesh: if anchored { "geometry prior" } else { "no" }.to_owned(),
-            stereo: if camera_wise { SCALE_ONLY } else { "no" }.to_owned(),
+            stereo: if camera_wise { scale_only } else { "no" }.to_owned(),
             fitting: "no".to_owned(),
         }
     }
@@ -153,7 +175,7 @@ mod tests {
 
     #[test]
     fn what_is_left_out_is_not_told_as_used() {
-        let all = Own::lifted(&json!({}), &clip());
+        let all = Own::lifted(&json!({}), &clip(), SCALE_ONLY);
         assert_eq!(
             (all.visual.as_str(), all.states.as_str()),
             ("3 times x 0 views", "anchoring, FK")
@@ -161,14 +183,14 @@ mod tests {
         assert_eq!((all.mesh.as_str(), all.stereo.as_str()), ("geometry prior", "no"));
         let bare = json!({"anchoring": false, "fk_conditioning": false, "attention": "camera-wise", "source_frames": [0, 16],
             "tokens": "latents", "rgb_downsample": 8});
-        let bare = Own::lifted(&bare, &clip());
+        let bare = Own::lifted(&bare, &clip(), SCALE_ONLY);
         assert_eq!(bare.visual, "2 / camera, tokens from latents, 1/8 of the resolution");
         assert_eq!(
             (bare.states.as_str(), bare.mesh.as_str(), bare.stereo.as_str()),
             ("no", "no", SCALE_ONLY)
         );
-        let analytic = Own::lifted(&json!({"robot_motion": "kinematics"}), &clip());
+        let analytic = Own::lifted(&json!({"robot_motion": "kinematics"}), &clip(), SCALE_ONLY);
         assert_eq!(analytic.states, "anchoring, FK, analytic FK motion");
-        assert_eq!(Own::outside(true).stereo, SCALE_ONLY);
+        assert_eq!(Own::outside(Some(SCALE_ONLY.to_owned())).stereo, SCALE_ONLY);
     }
 }

@@ -3,7 +3,8 @@
 //!
 //! A camera's poses are taken relative to its first source frame and divided by its scale, the mean distance of the valid
 //! back-projected stereo points of its source frames from that first camera. So the network sees the scene of unit size
-//! that it was released for. Its field then is multiplied by that scale and carried to the reconstruction frame.
+//! that it was released for. Its field then is multiplied by that scale and carried to the reconstruction frame. The depth
+//! is the clip's, which the references that the pipeline made complete; the field's label says what made it.
 
 use glam::{DQuat, DVec3};
 use rogs_field::attributes::rescaled;
@@ -27,11 +28,20 @@ struct Transport {
     quaternion: [f32; 4],
 }
 
-/// Lifts every camera by itself; base field and slices of all of them in the order of the views.
-pub(crate) fn lift(all: &mut Lifting<'_>, source: &Source<'_>) -> StageResult<(Base, Vec<TimeSlice>)> {
+/// The fields of all cameras, in the order of the views.
+pub(crate) struct Merged {
+    pub(crate) base: Base,
+    pub(crate) slices: Vec<TimeSlice>,
+    /// The scale of every camera and what it was taken from, in words.
+    pub(crate) scales: String,
+}
+
+/// Lifts every camera by itself.
+pub(crate) fn lift(all: &mut Lifting<'_>, source: &Source<'_>) -> StageResult<Merged> {
     let mut cameras: Vec<CameraIndex> = source.views.iter().map(|view| view.view.camera).collect();
     cameras.dedup();
     let mut merged: Option<(Base, Vec<TimeSlice>)> = None;
+    let mut scales = Vec::with_capacity(cameras.len());
     for (done, &camera) in cameras.iter().enumerate() {
         let share = 1.0 / cameras.len() as f64;
         let (model, params) = (all.model, all.params);
@@ -41,6 +51,7 @@ pub(crate) fn lift(all: &mut Lifting<'_>, source: &Source<'_>) -> StageResult<(B
             observer: &mut Part::new(all.observer, done as f64 * share, share),
         };
         let (alone, transport) = alone(source, camera)?;
+        scales.push(label(source.clip, camera, &transport));
         let network = &model.network;
         let (frames, images) = alone.frames(params, network.parameters.device());
         let encoded = lifting.phase("encode", 0.0, || network.encode(&frames))?;
@@ -63,7 +74,17 @@ pub(crate) fn lift(all: &mut Lifting<'_>, source: &Source<'_>) -> StageResult<(B
             }
         }
     }
-    merged.ok_or_else(|| StageError::bad_input("the clip has no source views"))
+    let (base, slices) = merged.ok_or_else(|| StageError::bad_input("the clip has no source views"))?;
+    let scales = format!("unit of each camera: {}", scales.join(", "));
+    Ok(Merged { base, slices, scales })
+}
+
+/// `wrist 0.41 m (classical stereo)`
+fn label(clip: &Clip, camera: CameraIndex, transport: &Transport) -> String {
+    let camera = &clip.cameras[camera.at()];
+    let origin = camera.depth.as_ref().map(|depth| depth.origin).unwrap_or_default();
+    let unit_m = transport.recon_from_first.scale / UNITS_PER_METRE;
+    format!("{} {unit_m:.4} m ({})", camera.id, origin.label())
 }
 
 /// The views of one camera, relative to the first of them and of unit size, and the way back.
@@ -111,7 +132,8 @@ fn stereo_scale_iu(clip: &Clip, views: &[View<'_>]) -> StageResult<f64> {
             camera.id
         ))
         .with_hint(
-            "it takes one scale per camera from the depth at the source frames; lift jointly where there is none",
+            "it takes one scale per camera from the depth at the source frames: `[references]` in the manifest makes some \
+             from cameras with a right eye (docs/references.md); lift jointly where there is none",
         )
     };
     let depth = camera.depth.as_ref().ok_or_else(|| missing("the clip has none"))?;

@@ -30,6 +30,7 @@ use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::{Clip, time_of_frame};
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::field::{Field, NamedArray, TimeSlice};
+use rogs_schemas::records::references::References;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_stage1::{Encoded, SourceFrames, Stage1};
 use rogs_tensors::Error;
@@ -60,6 +61,7 @@ impl Stage for Lift {
             InputDescription::required("clip", Clip::SCHEMA.name),
             InputDescription::required("robot", RobotMaps::SCHEMA.name),
             InputDescription::required("conditioning", Conditioning::SCHEMA.name),
+            InputDescription::optional("references", References::SCHEMA.name),
             InputDescription::optional("weights", "file"),
             InputDescription::optional("latents", "file"),
             InputDescription::optional("adapter", "file"),
@@ -92,7 +94,8 @@ impl Stage for Lift {
                 self.model.info.description
             ));
         }
-        let clip: Clip = context.read("clip")?;
+        let mut clip: Clip = context.read("clip")?;
+        self.complete(&mut clip, context)?;
         if let Some(warning) = self.model.out_of_distribution(&clip) {
             context.warn(warning);
         }
@@ -109,6 +112,22 @@ impl Stage for Lift {
         };
         let field = lift_clip(&self.model, &self.params, inputs, context)?;
         context.timed("write", |context| context.write(&field))
+    }
+}
+
+impl Lift {
+    /// Puts depth that the pipeline made into a clip that is lifted camera by camera: its scales are taken from that.
+    fn complete(&self, clip: &mut Clip, context: &mut Context<'_>) -> StageResult<()> {
+        if context.optional_input("references").is_none() {
+            return Ok(());
+        }
+        if self.params.attention != CrossCamera::CameraWise {
+            context
+                .warn("the input `references` is not read: only `attention = \"camera-wise\"` takes a scale from it");
+            return Ok(());
+        }
+        let references: References = context.read("references")?;
+        references.complete(clip).map_err(StageError::bad_input)
     }
 }
 
@@ -182,8 +201,10 @@ pub fn lift_clip(
         params,
         observer,
     };
+    let mut weights = model.info.clone();
     let (base, slices, query_state) = if params.attention == CrossCamera::CameraWise {
-        let (base, slices) = camera_wise::lift(&mut lifting, &source)?;
+        let camera_wise::Merged { base, slices, scales } = camera_wise::lift(&mut lifting, &source)?;
+        weights.description = format!("{}; {scales}", weights.description);
         (base, slices, Vec::new())
     } else {
         lifting.jointly(&source, latents, adapter)?
@@ -195,7 +216,7 @@ pub fn lift_clip(
         width: clip.width,
         views: source.views.iter().map(|view| view.view).collect(),
         recon_from_base: robot.recon_from_base,
-        weights: model.info.clone(),
+        weights,
         position_m: base.position_m,
         base_raw: base.raw,
         support: base.support,

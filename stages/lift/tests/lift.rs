@@ -358,6 +358,12 @@ fn camera_wise_fields_take_their_size_from_stereo_and_do_not_see_each_other() {
     let field = lift_with(&model, &params, &with_depth(1.0));
     assert_eq!((field.len(), field.query_state.len()), (4 * AREA, 0));
     assert!(field.support.iter().all(|&support| support == 0));
+    // Each camera's unit and what it was taken from; the second camera is 0.3 m off, but its unit is of its own frame.
+    let label = &field.weights.description;
+    assert!(
+        label.contains("unit of each camera: wrist 0.") && label.contains(" m (exact), ext1 0."),
+        "{label}"
+    );
     assert!(field.slices[2].displacement_m.iter().any(|&d| d != 0.0));
     // Everything twice as large: the network sees the same, the field is twice as large.
     let twice = lift_with(&model, &params, &with_depth(2.0));

@@ -15,7 +15,7 @@ use crate::error::{Error, Result};
 use crate::manifest::{Chosen, Manifest, Params, Prediction, Setting, Variant};
 use crate::programs::StagePrograms;
 use crate::sources::SourceCache;
-use crate::stage::{Filled, OUTSIDE, Output, Outside, Provider, StageId, WeightsRole};
+use crate::stage::{Filled, OUTSIDE, Output, Outside, Provider, StageId, WeightsRole, When};
 
 /// Makes the nodes of the run, of its variants, and of outside methods. What variants have in common is one node.
 ///
@@ -74,9 +74,17 @@ pub(super) fn make_nodes(
 fn wanted(manifest: &Manifest) -> Vec<StageId> {
     let mut wanted = StageId::with_producers(&manifest.run.stages);
     let asks = |stage| manifest.asks(stage) || manifest.variants.iter().any(|variant| variant.asks(stage));
+    // A stage that reads it under a condition reads it where some column meets that.
     let reads = |reader: &StageId, stage| {
-        let mut inputs = reader.spec().inputs.iter();
-        inputs.any(|input| input.provider == Provider::Stage(stage))
+        let mut inputs = reader
+            .spec()
+            .inputs
+            .iter()
+            .filter(|input| input.provider == Provider::Stage(stage));
+        let variants = manifest.variants.iter().map(|variant| variant.params(*reader));
+        let tables: Vec<&Params> = std::iter::once(manifest.params(*reader)).chain(variants).collect();
+        let met = |when: &When| tables.iter().any(|table| when.holds(|name| table.get(name)));
+        inputs.any(|input| input.when.as_ref().is_none_or(met))
     };
     for &stage in StageId::ALL.iter().filter(|stage| stage.spec().asked) {
         if asks(stage) && wanted.iter().any(|reader| reads(reader, stage)) {
@@ -424,7 +432,7 @@ impl<'a> Builder<'a> {
             .iter()
             .find(|known| known.role == role && output.reads(role));
         let when = known.and_then(|known| known.when.as_ref());
-        if when.is_some_and(|when| params.get(when.param).and_then(Value::as_str) != Some(when.is)) {
+        if when.is_some_and(|when| !when.holds(|name| params.get(name))) {
             return Ok(None);
         }
         let from = match known.map(|known| known.provider) {
@@ -449,9 +457,9 @@ impl<'a> Builder<'a> {
         if from.is_some() {
             return Ok(from);
         }
-        if let Some(when) = when {
-            let message = format!("`{} = \"{}\"` needs {}", when.param, when.is, when.needs);
-            return Err(self.text.error(chain.at(stage), message).with_hint(when.hint));
+        if let Some((when, needed)) = when.and_then(|when| Some((when, when.needed.as_ref()?))) {
+            let message = format!("`{} = \"{}\"` needs {}", when.param, when.is, needed.what);
+            return Err(self.text.error(chain.at(stage), message).with_hint(needed.hint));
         }
         if input.required {
             let message = match chain.column {

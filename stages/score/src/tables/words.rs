@@ -30,6 +30,11 @@ const PUBLISHED: [(&str, [&str; SIGNALS.len()]); 4] = [
 const SCALE_NOTE: &str =
     "scale only: one factor per camera from recorded left-eye stereo depth at the source times, for rollouts too";
 
+/// Whether a cell says that a scale alone is taken, whatever made the depth that it is taken from.
+fn is_scale_only(cell: &Cell) -> bool {
+    matches!(cell, Cell::Text(text) if text.starts_with(SCALE_ONLY))
+}
+
 /// The construction of the cohort.
 pub(crate) fn cohort(counts: Option<&CohortCounts>, options: TableOptions) -> Table {
     let row = |(label, count, published): Stage| Row {
@@ -86,10 +91,7 @@ pub(crate) fn inputs(signals: &[MethodSignals], options: TableOptions) -> Table 
         rows.extend(published);
     }
     let mut footnotes = Vec::new();
-    if rows
-        .iter()
-        .any(|row| row.cells.contains(&Cell::Text(SCALE_ONLY.to_owned())))
-    {
+    if rows.iter().any(|row| row.cells.iter().any(is_scale_only)) {
         footnotes.push(SCALE_NOTE.to_owned());
     }
     if signals.iter().any(|own| own.given.iter().any(|text| text == NOT_TOLD)) {
