@@ -240,9 +240,11 @@ fn make_camera(
             depth.read(interval.triple(), source.frame_count, size, |map| {
                 depth_m.extend(mapping.nearest(map))
             })?;
+            let range_m = params.depth_range_m.unwrap_or(depth.range_m);
+            warnings.extend(depth.check_range(&depth_m, range_m, &camera.id)?);
             Some(DepthReference {
                 depth_m,
-                range_m: params.depth_range_m.unwrap_or(depth.range_m),
+                range_m,
                 origin: depth.origin,
             })
         }

@@ -59,6 +59,47 @@ impl SourceDepth {
         Ok(())
     }
 
+    /// Whether some depth of a camera can be scored: in words, for a warning, where all of it lies outside of `near` to
+    /// `far` metres.
+    ///
+    /// # Errors
+    /// When another unit explains it.
+    pub(crate) fn check_range(
+        &self,
+        depth_m: &[f32],
+        [near, far]: [f32; 2],
+        camera: &str,
+    ) -> StageResult<Option<String>> {
+        /// How much too large the numbers are, and what they are then, and what to do.
+        const UNITS: [(f32, &str, &str); 2] = [
+            (
+                1000.0,
+                "millimetres",
+                "save metres, or say `unit_m` = 0.001 beside the `path` of the depth",
+            ),
+            (
+                0.001,
+                "metres",
+                "save 16-bit PNG in millimetres, or say `unit_m` = 1.0 beside the `path` of the depth",
+            ),
+        ];
+        let inside = |factor: f32| {
+            let scored = |&&value: &&f32| value / factor > near && value / factor < far;
+            depth_m.iter().filter(scored).count()
+        };
+        let known = depth_m.iter().filter(|value| value.is_finite()).count();
+        if known == 0 || inside(1.0) > 0 {
+            return Ok(None);
+        }
+        let text = format!("no depth of camera `{camera}` lies within {near} to {far} m");
+        match UNITS.iter().find(|(factor, ..)| 2 * inside(*factor) > known) {
+            Some((_, unit, hint)) => {
+                Err(wrong(&self.path, format!("{text}; taken as {unit}, it does")).with_hint(*hint))
+            }
+            None => Ok(Some(format!("{text}: none of it is scored"))),
+        }
+    }
+
     /// A `.npy` file of depths: of this shape, perhaps with a last axis of 1; floats, or integers whose unit is said.
     fn open(&self, path: &Path, shape: &[usize]) -> StageResult<NpyFile> {
         let array = NpyFile::open(path).map_err(unreadable)?;

@@ -349,6 +349,28 @@ fn damaged_images_and_arrays_name_the_file() {
         );
     });
     assert!(shape.contains("the shape is [1, 2], expected [20, 22, 40]"), "{shape}");
+    let depth_of = |value: f32| {
+        move |folder: &Path| {
+            let values = common::f32_bytes(std::iter::repeat_n(value, 20 * 22 * 40));
+            common::npy(&folder.join("ext1_depth.npy"), "<f4", &[20, 22, 40], &values);
+        }
+    };
+    let millimetres = said("depth-mm", depth_of(1200.0));
+    assert!(
+        millimetres.contains("no depth of camera `ext1` lies within ")
+            && millimetres.ends_with("; taken as millimetres, it does"),
+        "{millimetres}"
+    );
+    let metres = said("depth-m", depth_of(0.0012));
+    assert!(metres.ends_with("taken as metres, it does"), "{metres}");
+    // Another unit does not explain this one: told, and not scored.
+    let scratch = Scratch::new("depth-far");
+    write_episode(&scratch.0);
+    depth_of(30.0)(&scratch.0);
+    let (_, warnings) = read_clip(&scratch.0, None, &params(), "c").unwrap();
+    let told =
+        |warning: &String| warning.contains("`ext1` lies within ") && warning.ends_with("m: none of it is scored");
+    assert!(warnings.iter().any(told), "{warnings:?}");
     let cut = said("cut-npy", |folder| {
         let path = folder.join("right.npy");
         let bytes = std::fs::read(&path).unwrap();

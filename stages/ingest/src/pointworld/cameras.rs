@@ -3,11 +3,13 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use rogs_schemas::RigidPose;
+use rogs_schemas::records::clip::CameraRole;
 use rogs_worker::StageResult;
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::{base_from_camera, camera_of, same_episode, serials};
+use super::{base_from_camera, camera_of, near, same_episode, serials};
 use crate::fault::{read_text, wrong};
 use crate::params::PointWorldParams;
 use crate::source::{Source, SourceMount};
@@ -56,6 +58,12 @@ pub(super) fn join(path: &Path, source: &mut Source, params: &PointWorldParams) 
             "leave the episode out; or set `pointworld.max_loss`, or `pointworld.refined_poses = false` for the episode's own poses",
         ));
     }
+    let measured: Vec<Option<RigidPose>> = (source.cameras.iter())
+        .map(|camera| match &camera.mount {
+            SourceMount::Fixed(pose) if camera.role == CameraRole::Source => Some(*pose),
+            _ => None,
+        })
+        .collect();
     let mut moved = 0;
     for (serial, camera) in &file.others {
         let Some(matrix) = camera.get("optimized_extrinsics") else {
@@ -77,6 +85,14 @@ pub(super) fn join(path: &Path, source: &mut Source, params: &PointWorldParams) 
             continue; // moves with the robot: one pose says nothing
         }
         let pose = base_from_camera(&matrix, &what, own, path)?;
+        if let Some(other) = stands_at(&measured, index, &pose) {
+            let other = &source.cameras[other];
+            let other = other.serial.as_deref().unwrap_or(&other.id);
+            let text = format!("{what} stands where the episode has `{other}`, far from where it has `{serial}`");
+            return Err(
+                wrong(path, text).with_hint("are the serials of two cameras exchanged, here or in the episode?")
+            );
+        }
         let right = source.cameras.iter().position(|camera| {
             let partner = camera.partner.as_deref();
             partner == Some(source.cameras[index].id.as_str())
@@ -104,15 +120,24 @@ pub(super) fn join(path: &Path, source: &mut Source, params: &PointWorldParams) 
     Ok(())
 }
 
+/// The other camera that a refined pose fits, where it does not fit its own.
+fn stands_at(measured: &[Option<RigidPose>], own: usize, refined: &RigidPose) -> Option<usize> {
+    let fits = |pose: &Option<RigidPose>| pose.as_ref().is_some_and(|pose| near(refined, pose));
+    if measured[own].is_none() || fits(&measured[own]) {
+        return None;
+    }
+    measured.iter().position(fits)
+}
+
 /// Moves the right eye of a pair with its left eye.
-fn follow(source: &mut Source, (left, right): (usize, usize), refined: rogs_schemas::RigidPose) -> StageResult<()> {
+fn follow(source: &mut Source, (left, right): (usize, usize), refined: RigidPose) -> StageResult<()> {
     use rogs_geometry::{Base, Camera, Pose};
     let (SourceMount::Fixed(old), SourceMount::Fixed(eye)) =
         (&source.cameras[left].mount, &source.cameras[right].mount)
     else {
         return Ok(());
     };
-    let pose = |pose: &rogs_schemas::RigidPose| {
+    let pose = |pose: &RigidPose| {
         Pose::<Base, Camera>::from_rigid(pose).map_err(|error| rogs_worker::StageError::bad_input(error.to_string()))
     };
     let (old, eye, new) = (pose(old)?, pose(eye)?, pose(&refined)?);

@@ -115,13 +115,7 @@ fn base_from_camera(matrix: &[[f64; 4]; 4], what: &str, own: &SourceMount, path:
     let stored = crate::checks::rigid_pose(&WrittenPose::Matrix(*matrix), what, path)?;
     let inverted = inverse(&stored, what, path)?;
     if let SourceMount::Fixed(own) = own {
-        /// Refined poses stay this near to measured ones, metres and radians.
-        const NEAR: (f64, f64) = (0.3, 0.5);
-        let near = |pose: &RigidPose| {
-            let (metres, radians) = difference(pose, own);
-            metres < NEAR.0 && radians < NEAR.1
-        };
-        if !near(&inverted) && near(&stored) {
+        if !near(&inverted, own) && near(&stored, own) {
             return Err(wrong(
                 path,
                 format!(
@@ -138,6 +132,14 @@ fn inverse(pose: &RigidPose, what: &str, path: &Path) -> StageResult<RigidPose> 
     let pose: Pose<Camera, Base> =
         Pose::from_rigid(pose).map_err(|error| wrong(path, format!("{what} is not rigid: {error}")))?;
     Ok(pose.inverse().to_rigid())
+}
+
+/// Whether a pose may be the refined one of a measured one.
+fn near(refined: &RigidPose, measured: &RigidPose) -> bool {
+    /// Refined poses stay this near to measured ones, metres and radians.
+    const NEAR: (f64, f64) = (0.3, 0.5);
+    let (metres, radians) = difference(refined, measured);
+    metres < NEAR.0 && radians < NEAR.1
 }
 
 /// Distance of centres, metres, and angle between axes, radians.

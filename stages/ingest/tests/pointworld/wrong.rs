@@ -60,6 +60,18 @@ fn cameras() {
         }
     });
     has(&millimetres, &["`optimized_extrinsics` of `ext1`", "millimetres?"]);
+    let exchanged = with(&|file| {
+        let (first, second) = (file["ext1"].clone(), file["ext2"].clone());
+        file["ext1"] = second;
+        file["ext2"] = first;
+    });
+    has(
+        &exchanged,
+        &[
+            "`optimized_extrinsics` of `ext1` stands where the episode has `ext2`",
+            "are the serials of two cameras exchanged",
+        ],
+    );
     let gate = with(&|file| file["optimization_summary"]["final_loss"] = json!(0.1));
     has(&gate, &["a loss of 0.1; below 0.1 is taken", "pointworld.max_loss"]);
     let failed = with(&|file| file["optimization_success"] = json!(false));
