@@ -11,6 +11,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use rogs_needs::{needs, shared};
+use rogs_r4c::read_record;
+use rogs_schemas::records::clip::{CameraMount, Clip};
+use rogs_schemas::records::scores::Scores;
+use rogs_synth::{CAMERA_NAMES, DroidEpisode, Mount};
 use support::{ROGS, Workspace};
 
 /// What makes a manifest small, behind the line that wrote it.
@@ -101,8 +105,54 @@ fn a_lerobot_set_runs_from_its_wrist_camera() {
 fn raw_droid_runs_as_it_was_released() {
     let workspace = Workspace::small(1);
     std::fs::rename(workspace.path("data"), workspace.path("kitchen")).unwrap();
-    rogs_synth::write_droid(&workspace.path("droid"), 0, &rogs_synth::droid_config(33, [180, 320])).unwrap();
-    run(&workspace, "raw-droid", Path::new(""));
+    let config = rogs_synth::droid_config(33, [180, 320]);
+    let episodes = rogs_synth::write_droid(&workspace.path("droid"), 0, &config).unwrap();
+    let said = run(&workspace, "raw-droid", Path::new(""));
+    assert!(said.contains("6 of 6 clips done, 0 failed"), "{said}");
+    let mut clips = Vec::new();
+    files(&workspace.path("."), "clip.r4c", &mut clips);
+    assert_eq!(clips.len(), episodes.len(), "{clips:?}");
+    for path in clips {
+        let (clip, _) = read_record::<Clip>(&path).unwrap();
+        let episode = episodes.iter().find(|own| own.uuid == clip.episode_id).unwrap();
+        cameras_stand_as_drawn(&clip, episode);
+        let (scores, _) = read_record::<Scores>(&path.with_file_name("scores-2.r4c")).unwrap();
+        assert!(
+            scores.summary.images.iter().all(|image| image.psnr.is_some()),
+            "{}",
+            clip.episode_id
+        );
+    }
+}
+
+/// Files of a name below a folder.
+fn files(folder: &Path, name: &str, found: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        match path.is_dir() {
+            true => files(&path, name, found),
+            false if path.ends_with(name) => found.push(path),
+            false => {}
+        }
+    }
+}
+
+/// Poses of the external left eyes and the hand-eye of the wrist camera, within 1e-6 of the truth.
+fn cameras_stand_as_drawn(clip: &Clip, episode: &DroidEpisode) {
+    for camera in clip.cameras.iter().filter(|camera| !camera.id.ends_with("_right")) {
+        let index = CAMERA_NAMES.iter().position(|name| *name == camera.id).unwrap();
+        let (found, truth) = match (&camera.mount, &episode.truth.cameras[index].mount) {
+            (CameraMount::Fixed { base_from_camera }, Mount::Fixed(truth)) => (base_from_camera, truth.to_rigid()),
+            (CameraMount::HandEye { link_from_camera, .. }, Mount::Flange(truth)) => {
+                (link_from_camera, truth.to_rigid())
+            }
+            (found, expected) => panic!("{}: {found:?}, {expected:?}", camera.id),
+        };
+        let turned = found.rotation.iter().zip(&truth.rotation);
+        let moved = found.translation.iter().zip(&truth.translation);
+        let off = turned.chain(moved).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off < 1e-6, "{}, {}: {off}", clip.episode_id, camera.id);
+    }
 }
 
 /// Commands of a page: the lines of its blocks of shell.
