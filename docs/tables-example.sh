@@ -4,16 +4,22 @@
 #   cargo build --release --bin rogs
 #   docs/tables-example.sh target/release/rogs > docs/tables-example.md
 #
-# EPISODES and SIZE (multiples of 14) make it larger or smaller; messages go to standard error.
+# EPISODES and SIZE (multiples of 14) make it larger or smaller. WORK names a folder that is kept, so that another call with
+# the same EPISODES and SIZE goes on from there. Messages go to standard error.
 set -euo pipefail
 rogs=$(realpath "${1:?usage: docs/tables-example.sh PATH-OF-ROGS}")
 here=$(cd "$(dirname "$0")/.." && pwd)
-episodes=${EPISODES:-2} size=${SIZE:-126x70}
+episodes=${EPISODES:-1} size=${SIZE:-154x84}
 distortions=(--blur 1.5 --drift 0.04 --lag 2)
-work=$(mktemp -d)
-trap 'rm -rf "$work"' EXIT
+if [ -n "${WORK:-}" ]; then
+    mkdir -p "$WORK"
+    work=$(realpath "$WORK")
+else
+    work=$(mktemp -d)
+    trap 'rm -rf "$work"' EXIT
+fi
 cd "$work"
-"$rogs" synth --out data --episodes "$episodes" --seed 11 --size "$size" --rollouts "${distortions[@]}" >&2
+[ -e data/rollouts ] || "$rogs" synth --out data --episodes "$episodes" --seed 11 --size "$size" --rollouts "${distortions[@]}" >&2
 
 # The variants of the ablations but for fewer source times, with every update kept.
 {
