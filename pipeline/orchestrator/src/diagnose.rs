@@ -106,16 +106,36 @@ impl Text {
         }
     }
 
+    /// Lines, from 1, at which the values of these places stand; none for one that the text does not give.
+    pub(crate) fn lines<'a>(&self, places: impl Iterator<Item = At<'a>>) -> Vec<Option<usize>> {
+        let Ok(document) = Document::parse(self.text.as_str()) else {
+            return places.map(|_| None).collect();
+        };
+        let line = |at: At<'a>| {
+            let (offset, steps) = walk(document.as_item(), &at);
+            let whole = offset.filter(|_| steps == at.steps.len());
+            whole.map(|offset| line_and_column(&self.text, offset).0)
+        };
+        places.map(line).collect()
+    }
+
     /// Byte offset of a place, as far as the way leads.
     fn find(&self, at: &At<'_>) -> Option<usize> {
         let document = Document::parse(self.text.as_str()).ok()?;
-        let (mut here, mut found) = (Found::Item(document.as_item()), None);
-        for step in &at.steps {
-            let Some((offset, next)) = here.step(*step) else { break };
-            (here, found) = (next, offset.or(found));
-        }
-        found
+        walk(document.as_item(), at).0
     }
+}
+
+/// Byte offset of a place, as far as the way leads, and how many of its steps do.
+fn walk(document: &Item, at: &At<'_>) -> (Option<usize>, usize) {
+    let (mut here, mut found) = (Found::Item(document), None);
+    for (taken, step) in at.steps.iter().enumerate() {
+        let Some((offset, next)) = here.step(*step) else {
+            return (found, taken);
+        };
+        (here, found) = (next, offset.or(found));
+    }
+    (found, at.steps.len())
 }
 
 /// A value on the way to a place.

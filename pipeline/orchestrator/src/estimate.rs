@@ -6,11 +6,12 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::columns::columns;
+use crate::costs::{duration, node_costs};
 use crate::error::Result;
 use crate::executor::RunOptions;
-use crate::ledger::{StageCost, read_costs};
+use crate::ledger::StageCost;
 use crate::plan::{ClipInterval, InputSource, Node, Plan, PlanSelection};
-use crate::stage::{FIGURES_OF, Figures, Provider};
+use crate::stage::Provider;
 use crate::state::OutputState;
 use crate::sys::free_disk;
 
@@ -68,22 +69,19 @@ pub struct NodeEstimate {
 /// # Errors
 /// When the run folder cannot be read.
 pub fn estimate(plan: &Plan, options: &RunOptions) -> Result<Estimate> {
-    let costs = read_costs(&plan.run)?;
     let states = plan.states();
-    let size = size(plan);
+    let costs = node_costs(plan)?;
     let node = |index: usize| {
         let up_to_date = states
             .iter()
             .filter(|clip| clip[index] == OutputState::UpToDate)
             .count();
-        let node = &plan.nodes[index];
-        let measured = costs.get(node.stage.name()).copied();
         NodeEstimate {
-            measured: measured.is_some(),
-            node: node.label.clone(),
+            measured: costs[index].measured,
+            node: plan.nodes[index].label.clone(),
             up_to_date,
             todo: plan.clips.len() - up_to_date,
-            cost: measured.or_else(|| Some(expected(&node.stage.spec().figures, size?))),
+            cost: costs[index].cost,
         }
     };
     let nodes: Vec<NodeEstimate> = (0..plan.nodes.len()).map(node).collect();
@@ -110,29 +108,6 @@ pub fn estimate(plan: &Plan, options: &RunOptions) -> Result<Estimate> {
         workers: options.workers,
         nodes,
     })
-}
-
-/// How many times the clip of the built-in figures a clip of this plan is: by pixels, by pixels of all frames. None where the
-/// stage programs have no such parameters.
-fn size(plan: &Plan) -> Option<f64> {
-    let node = plan.nodes.iter().find(|node| node.stage.spec().interval.is_some())?;
-    let names = node.stage.spec().interval.as_ref()?;
-    let number = |name: &str| node.params.get(name).and_then(serde_json::Value::as_f64);
-    let [height, width] = names.size;
-    let [pixels, frames] = FIGURES_OF;
-    Some(number(height)? * number(width)? / pixels * (number(names.frames)? / frames))
-}
-
-/// What a clip costs that is so many times that of the figures.
-fn expected(figures: &Figures, times: f64) -> StageCost {
-    let bytes = |mebibytes: f64| (mebibytes * times * f64::from(1 << 20)) as u64;
-    StageCost {
-        count: 0,
-        seconds: figures.seconds * times,
-        output_bytes: bytes(figures.output_mib),
-        // The program itself and its threads take some memory too.
-        peak_rss_bytes: bytes(figures.peak_mib) + (64 << 20),
-    }
 }
 
 /// The cameras that clips are made of.
@@ -245,16 +220,5 @@ impl Estimate {
         }
         lines.extend(self.notes.iter().map(|note| format!("note: {note}")));
         lines.join("\n")
-    }
-}
-
-/// Seconds for people.
-#[must_use]
-fn duration(seconds: f64) -> String {
-    let whole = seconds.round() as u64;
-    match whole {
-        0..60 => format!("{seconds:.1} s"),
-        60..3600 => format!("{} min {:02} s", whole / 60, whole % 60),
-        _ => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
     }
 }

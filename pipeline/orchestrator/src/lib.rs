@@ -28,10 +28,13 @@
 //! Every failure of the orchestrator is an [`Error`] with [`Error::hint`] and [`Error::exit`]; failures of clips are values.
 //! Errors print as `error: {error}`, then `hint: {hint}`.
 
+pub mod colour;
 mod columns;
+mod costs;
 pub mod diagnose;
 pub mod diff;
 pub mod editor;
+pub mod effective;
 pub mod error;
 pub mod estimate;
 pub mod executor;

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use rogs_files::write_bytes;
-use rogs_orchestrator::manifest::Manifest;
+use rogs_orchestrator::manifest::{Manifest, PICTURE_CLIPS};
 use rogs_orchestrator::{Error, Result};
 use rogs_schemas::shown;
 use rogs_score::tables::{Table, TableId, TableOptions};
@@ -16,8 +16,6 @@ use crate::results::RunResults;
 const FOLDER: &str = "report";
 /// Folder of the table files beside the page.
 const TABLES_FOLDER: &str = "tables";
-/// Clips with pictures when the manifest does not say.
-const PICTURE_CLIPS: usize = 24;
 
 /// Writes the report of a run folder: `report/index.html` and, in every form, `report/tables/`. Returns the path of the
 /// page. Outputs that cannot be read are named in the page instead of stopping it.

@@ -5,7 +5,10 @@
 
 use std::fmt;
 use std::io::{ErrorKind, Write as _};
+use std::sync::OnceLock;
 
+use rogs_orchestrator::colour;
+use rogs_orchestrator::executor::ProgressMode;
 use rogs_schemas::shown;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -90,7 +93,7 @@ pub(crate) fn schema(schema: &serde_json::Value) -> anyhow::Result<()> {
 
 /// Prints text and a line end where it lacks one.
 pub(crate) fn text(text: &str) -> anyhow::Result<()> {
-    print(&shown::text(text))
+    print(&colour::painted(&shown::text(text), &std::io::stdout()))
 }
 
 fn print(text: &str) -> anyhow::Result<()> {
@@ -116,33 +119,77 @@ fn ended(written: std::io::Result<()>) -> anyhow::Result<bool> {
 pub(crate) fn after_work(printed: anyhow::Result<()>) -> anyhow::Result<()> {
     match printed {
         Err(refused) if refused.is::<CannotPrint>() => {
-            note(&format!("warning: {refused}"));
+            warning(&refused.to_string());
             Ok(())
         }
         other => other,
     }
 }
 
-/// Prints a note for the person who waits.
+/// How much is told on standard error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Voice {
+    /// Failures and warnings.
+    Quiet,
+    /// Progress and notes as well.
+    Usual,
+    /// Every step.
+    Detailed,
+}
+
+static VOICE: OnceLock<Voice> = OnceLock::new();
+
+/// Says, once and before anything else, how much is told.
+pub(crate) fn set_voice(voice: Voice) {
+    // A second call changes nothing.
+    let _ = VOICE.set(voice);
+}
+
+fn voice() -> Voice {
+    VOICE.get().copied().unwrap_or(Voice::Usual)
+}
+
+/// What a run shows.
+pub(crate) fn progress() -> ProgressMode {
+    match voice() {
+        Voice::Quiet => ProgressMode::Quiet,
+        Voice::Usual => ProgressMode::for_stderr(),
+        Voice::Detailed => ProgressMode::Details,
+    }
+}
+
+/// Prints a note for the person who waits, unless they want it quiet.
 pub(crate) fn note(text: &str) {
-    let _ = writeln!(std::io::stderr(), "{}", shown::text(text));
+    if voice() != Voice::Quiet {
+        tell(text);
+    }
+}
+
+/// Prints a warning.
+pub(crate) fn warning(text: &str) {
+    tell(&format!("warning: {text}"));
+}
+
+fn tell(text: &str) {
+    let mut err = std::io::stderr().lock();
+    let text = shown::text(text);
+    let _ = writeln!(err, "{}", colour::painted(&text, &std::io::stderr()));
 }
 
 /// Prints an error with its causes, one a line.
 pub(crate) fn error(error: &anyhow::Error) {
-    let mut err = std::io::stderr().lock();
     let mut said = error.to_string();
-    let _ = writeln!(err, "error: {}", shown::line(&said));
+    tell(&format!("error: {}", shown::line(&said)));
     for cause in error.chain().skip(1) {
         // Many errors end with their cause already.
         let cause = cause.to_string();
         if !said.ends_with(&cause) {
-            let _ = writeln!(err, "  caused by: {}", shown::line(&cause));
+            tell(&format!("  caused by: {}", shown::line(&cause)));
             said = cause;
         }
     }
     if let Some(hint) = hint(error) {
-        let _ = writeln!(err, "hint: {}", shown::line(&hint));
+        tell(&format!("hint: {}", shown::line(&hint)));
     }
 }
 

@@ -13,6 +13,7 @@ use super::progress::Display;
 use super::queue::{Queue, Standing};
 use super::slot::{JobResult, Message, Slot};
 use super::{ClipCounts, RunOptions, RunSummary, UnitCounts, UnitFailure};
+use crate::costs::node_costs;
 use crate::error::{Error, Result, io};
 use crate::exit::Exit;
 use crate::ledger::{Ledger, read_costs};
@@ -120,6 +121,13 @@ impl<'a> Schedule<'a> {
         let queue = Queue::new(plan, states, options.only.as_deref());
         let waiting = |standing: &&Standing| **standing == Standing::Waiting;
         let todo = queue.standings().iter().filter(waiting).count();
+        let nodes = plan.nodes.len().max(1);
+        let seconds = node_costs(plan)?.into_iter().map(|node| Some(node.cost?.seconds));
+        let left = queue.standings().iter().enumerate();
+        let left = left
+            .filter(|(_, standing)| waiting(standing))
+            .map(|(unit, _)| unit % nodes);
+        let outlook = Outlook::new(seconds.collect(), slots.len(), left);
         let mut memory = options.stage_memory.clone();
         for (stage, cost) in read_costs(&plan.run)? {
             // The ledgers may know stages that this program has no more.
@@ -131,7 +139,7 @@ impl<'a> Schedule<'a> {
             plan,
             options,
             queue,
-            display: Display::new(options.progress, todo, slots.len()),
+            display: Display::new(options.progress, todo, slots.len(), outlook),
             slots,
             ledger: Ledger::new(&plan.run),
             running: HashMap::new(),
@@ -273,7 +281,7 @@ impl<'a> Schedule<'a> {
                 *known = (*known).max(attempt.peak_rss_bytes);
                 self.queue.made(unit);
                 let seconds = attempt.seconds.get("total").copied().unwrap_or_default();
-                self.display.done(&clip.id, &node.label, seconds);
+                self.display.done(&clip.id, (unit.node, &node.label), seconds);
                 for warning in &attempt.warnings {
                     let text = format!("{} {}: {warning}", clip.id, node.label);
                     self.display.warn(&text);
@@ -330,7 +338,7 @@ impl<'a> Schedule<'a> {
             return Ok(false);
         }
         let more = self.queue.again_after(unit, &lost);
-        self.display.more(more);
+        self.display.more(more, &lost);
         self.warn_all(warnings);
         Ok(true)
     }
@@ -360,7 +368,8 @@ impl<'a> Schedule<'a> {
                         .map(|&node| self.plan.nodes[node].label.clone())
                         .collect(),
                 };
-                self.display.failed(&failure, 1 + blocked.len());
+                let nodes: Vec<usize> = std::iter::once(unit.node).chain(blocked).collect();
+                self.display.failed(&failure, &nodes);
                 self.failures.push(failure);
             }
             retry => {

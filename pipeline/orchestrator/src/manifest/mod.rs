@@ -26,6 +26,9 @@ use crate::stage::{StageId, WeightsRole};
 /// Most worker processes at a time.
 pub const MOST_WORKERS: usize = 1024;
 
+/// Clips with pictures in a report that says nothing else.
+pub const PICTURE_CLIPS: usize = 24;
+
 /// A table of parameters of one stage; its names are those of `rogs-STAGE describe`.
 pub type Params = Map<String, Value>;
 

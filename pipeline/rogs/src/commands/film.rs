@@ -7,6 +7,7 @@ use anyhow::{Context as _, bail, ensure};
 use glam::DVec3;
 use indicatif::{ProgressBar, ProgressStyle};
 use rogs_geometry::{PosedCamera, Recon};
+use rogs_orchestrator::executor::ProgressMode;
 use rogs_pages::colours;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::units::LengthUnit;
@@ -161,7 +162,10 @@ pub(crate) fn shoot(scene: &mut Scene<'_>, path: &Path, shooting: &Shooting<'_>)
     let panels = Panels::new(scene, shooting, &plan, (lens.width, lens.height))?;
     let size = panels.size();
     let (mut film, path) = begin(path, form, size, plan.rate)?;
-    let bar = ProgressBar::new(plan.frames as u64);
+    let bar = match output::progress() {
+        ProgressMode::Quiet => ProgressBar::hidden(),
+        _ => ProgressBar::new(plan.frames as u64),
+    };
     bar.set_style(ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left")?);
     let mut range = None;
     for frame in 0..plan.frames {
@@ -207,7 +211,7 @@ fn begin(path: &Path, form: FilmForm, size: [u32; 2], rate: f64) -> anyhow::Resu
         Err(error @ FilmError::NoProgram(_)) => {
             let name = path.file_stem().unwrap_or_default().to_string_lossy();
             let folder = path.with_file_name(format!("{name}-frames"));
-            output::note(&format!("warning: {error}; PNG images are written instead"));
+            output::warning(&format!("{error}; PNG images are written instead"));
             output::note(&format!(
                 "hint: with it, `ffmpeg -framerate {rate} -i {}/%06d.png -pix_fmt yuv420p {}` makes the film",
                 folder.display(),

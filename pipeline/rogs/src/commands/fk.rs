@@ -40,7 +40,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         model = model.with_base_link(base_link)?;
     }
     for note in &model.notes {
-        output::note(&format!("warning: robot `{}`: {note}", args.robot.display()));
+        output::warning(&format!("robot `{}`: {note}", args.robot.display()));
     }
     let place = || format!("in `{}`", args.joints.display());
     // Neither the table nor the poses need fit into memory: the rows are read twice, the first time to see that nothing is

@@ -23,7 +23,7 @@ use super::run::RunOutcome;
 use super::verify::Verified;
 use super::weights::catalogue::PublicFile;
 use super::weights::told;
-use super::{completions, doctor, export_field, film, init, inspect, list, man, render, status, synth};
+use super::{completions, config, doctor, export_field, film, init, inspect, list, man, render, status, synth};
 use crate::output::{Format, Items};
 
 /// One kind of JSON output.
@@ -58,6 +58,7 @@ macro_rules! formats {
 
 formats! {
     "completions" 1 completions::Script, "rogs completions";
+    "config" 1 config::Shown, "rogs config show";
     "demo" 1 DemoOutcome, "rogs demo";
     "diff" 1 Difference, "rogs diff";
     "doctor" 1 Items<doctor::Finding>, "rogs doctor";

@@ -2,6 +2,7 @@
 
 mod cohort;
 mod completions;
+mod config;
 mod demo;
 mod diff;
 mod doctor;
@@ -36,12 +37,37 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+use crate::output::{self, Voice};
+
 /// Turns robot video rollouts into metric 4D Gaussian worlds: plans, runs, resumes, renders and scores.
 #[derive(Debug, Parser)]
 #[command(name = "rogs", version, arg_required_else_help = true)]
 pub(crate) struct CommandLine {
     #[command(subcommand)]
     command: Command,
+    #[command(flatten)]
+    voice: VoiceArgs,
+}
+
+/// How much is told beside results. Results and exit codes are the same.
+#[derive(Debug, Clone, Copy, clap::Args)]
+struct VoiceArgs {
+    /// Say less beside the result: failures and warnings, no progress and no notes.
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    quiet: bool,
+    /// Say more beside the result: every unit that starts, and what it says on the way.
+    #[arg(short, long, global = true)]
+    verbose: bool,
+}
+
+impl From<VoiceArgs> for Voice {
+    fn from(args: VoiceArgs) -> Self {
+        match (args.quiet, args.verbose) {
+            (true, _) => Self::Quiet,
+            (_, true) => Self::Detailed,
+            _ => Self::Usual,
+        }
+    }
 }
 
 #[derive(Debug, Subcommand)]
@@ -71,6 +97,7 @@ enum Command {
     Fk(fk::Args),
     Export(export::Args),
     Doctor(doctor::Args),
+    Config(config::Args),
     Schema(schema::Args),
     Completions(completions::Args),
     Man(man::Args),
@@ -86,6 +113,7 @@ fn stage_error(error: rogs_worker::StageError) -> anyhow::Error {
 }
 
 pub(crate) fn run(command_line: CommandLine) -> anyhow::Result<ExitCode> {
+    output::set_voice(command_line.voice.into());
     match command_line.command {
         Command::Demo(args) => demo::run(&args),
         Command::Init(args) => init::run(&args),
@@ -110,6 +138,7 @@ pub(crate) fn run(command_line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Fk(args) => fk::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        Command::Config(args) => config::run(&args),
         Command::Schema(args) => schema::run(&args),
         Command::Completions(args) => completions::run(&args),
         Command::Man(args) => man::run(&args),

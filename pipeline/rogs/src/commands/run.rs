@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use rogs_orchestrator::executor::RunSummary;
+use rogs_orchestrator::executor::{RunOptions, RunSummary};
 use rogs_orchestrator::manifest::MOST_WORKERS;
 use rogs_orchestrator::programs::StagePrograms;
 use rogs_orchestrator::{Exit, Interrupts, Prepared};
@@ -67,15 +67,26 @@ pub(crate) struct RunOutcome {
 impl Machine {
     /// A plan with the command line's wishes laid over the manifest's.
     pub(crate) fn prepare(&self, manifest: &Path) -> rogs_orchestrator::Result<Prepared> {
-        let programs = match &self.programs {
-            Some(folder) => StagePrograms::Directory(folder.clone()),
-            None => StagePrograms::this_program()?,
-        };
-        let mut prepared = Prepared::load(manifest, programs.clone())?;
-        let options = &mut prepared.options;
-        if self.programs.is_some() {
-            options.programs = programs;
+        let programs = self.stage_programs()?;
+        let mut prepared = Prepared::load(manifest, programs)?;
+        self.lay_over(&mut prepared.options);
+        Ok(prepared)
+    }
+
+    /// Where the stage programs are, unless the manifest says.
+    pub(crate) fn stage_programs(&self) -> rogs_orchestrator::Result<StagePrograms> {
+        match &self.programs {
+            Some(folder) => Ok(StagePrograms::Directory(folder.clone())),
+            None => StagePrograms::this_program(),
         }
+    }
+
+    /// The command line's wishes over the manifest's.
+    pub(crate) fn lay_over(&self, options: &mut RunOptions) {
+        if let Some(folder) = &self.programs {
+            options.programs = StagePrograms::Directory(folder.clone());
+        }
+        options.progress = output::progress();
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         match (self.workers, self.threads) {
             (Some(workers), Some(threads)) => (options.workers, options.threads) = (workers, threads),
@@ -89,7 +100,19 @@ impl Machine {
             }
             (None, None) => {}
         }
-        Ok(prepared)
+    }
+
+    /// The keys of a manifest that the command line gives.
+    pub(crate) fn given(&self) -> Vec<&'static str> {
+        let given = [
+            ("executor.workers", self.workers.is_some()),
+            ("executor.threads", self.threads.is_some()),
+            ("executor.programs", self.programs.is_some()),
+        ];
+        given
+            .into_iter()
+            .filter_map(|(key, given)| given.then_some(key))
+            .collect()
     }
 }
 
