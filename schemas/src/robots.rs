@@ -27,13 +27,23 @@ pub struct Preset {
 /// The robot of the paper, which a manifest without a preset has.
 pub const DEFAULT_PRESET: &str = "panda-robotiq-2f85";
 
-/// Drivers of the Robotiq 2F-85 in its usual descriptions. Its tool centre is 0.12 m before its base, as in the paper.
+/// Drivers of the Robotiq 2F-85. `finger_joint` is that of the DROID robot (closed as in the paper); the knuckle that of
+/// `robotiq_description` in github.com/PickNikRobotics/ros2_robotiq_gripper: 0 to 0.8 rad, closed at 0.7929 as its driver
+/// has it, with `robotiq_85_` before the names in some of its versions. The tool centre is 0.12 m before the base, as in
+/// the paper.
 const ROBOTIQ: (&str, f64, f64) = ("finger_joint", 0.0, 0.725);
-const ROBOTIQ_KNUCKLE: (&str, f64, f64) = ("robotiq_85_left_knuckle_joint", 0.0, 0.725);
-const ROBOTIQ_TOOL: (&str, [f64; 3]) = ("robotiq_85_base_link", [0.0, 0.0, 0.12]);
+const ROBOTIQ_KNUCKLE: [(&str, f64, f64); 2] = [
+    ("robotiq_85_left_knuckle_joint", 0.0, 0.7929),
+    ("left_knuckle_joint", 0.0, 0.7929),
+];
+const ROBOTIQ_TOOL: [(&str, [f64; 3]); 2] = [
+    ("robotiq_85_base_link", [0.0, 0.0, 0.12]),
+    ("robotiq_base_link", [0.0, 0.0, 0.12]),
+];
 const HERE: [f64; 3] = [0.0; 3];
 
-/// Every preset; of two that fit a robot the first is meant.
+/// Every preset; of two that fit a robot the first is meant. Names and ranges are those of the files that each names,
+/// read in November 2026; other names are of older versions of them.
 pub static PRESETS: [Preset; 8] = [
     Preset {
         name: DEFAULT_PRESET,
@@ -42,33 +52,56 @@ pub static PRESETS: [Preset; 8] = [
         joints: &[&["panda_joint1"], &["panda_joint7"]],
         base: &["panda_link0"],
         grippers: &[ROBOTIQ],
-        tools: &[ROBOTIQ_TOOL],
+        tools: &[ROBOTIQ_TOOL[0]],
     },
+    // `robots/common/franka_arm.xacro` and `end_effectors/common/franka_hand.xacro`: every name begins with the kind of
+    // robot, `fr3_`, `fer_` (the Panda today) or, before, `panda_`; each finger slides from 0 (closed) to 0.04 m, and
+    // `hand_tcp` is 0.1034 m before `hand`.
     Preset {
         name: "panda-hand",
         title: "Franka Panda or FR3 with the Franka hand",
         source: "github.com/frankarobotics/franka_description (expand its xacro), or `franka_panda` of `pip download pybullet_data`",
-        joints: &[&["panda_joint1", "fr3_joint1"], &["panda_joint7", "fr3_joint7"]],
-        base: &["panda_link0", "fr3_link0"],
-        grippers: &[("panda_finger_joint1", 0.04, 0.0), ("fr3_finger_joint1", 0.04, 0.0)],
+        joints: &[
+            &["panda_joint1", "fr3_joint1", "fer_joint1"],
+            &["panda_joint7", "fr3_joint7", "fer_joint7"],
+        ],
+        base: &["panda_link0", "fr3_link0", "fer_link0"],
+        grippers: &[
+            ("panda_finger_joint1", 0.04, 0.0),
+            ("fr3_finger_joint1", 0.04, 0.0),
+            ("fer_finger_joint1", 0.04, 0.0),
+        ],
         tools: &[
             ("panda_hand_tcp", HERE),
             ("fr3_hand_tcp", HERE),
+            ("fer_hand_tcp", HERE),
             ("panda_hand", [0.0, 0.0, 0.1034]),
             ("fr3_hand", [0.0, 0.0, 0.1034]),
+            ("fer_hand", [0.0, 0.0, 0.1034]),
             ("panda_link8", HERE),
             ("fr3_link8", HERE),
+            ("fer_link8", HERE),
         ],
     },
+    // `urdf/ur_macro.xacro`, without `tf_prefix`; `ee_link` is of the descriptions for ROS 1.
     Preset {
         name: "ur5e",
         title: "Universal Robots UR3 to UR20, with or without a Robotiq 2F-85",
         source: "github.com/UniversalRobots/Universal_Robots_ROS2_Description (expand its xacro)",
         joints: &[&["shoulder_pan_joint"], &["wrist_3_joint"]],
         base: &["base_link"],
-        grippers: &[ROBOTIQ, ROBOTIQ_KNUCKLE],
-        tools: &[ROBOTIQ_TOOL, ("tool0", HERE), ("ee_link", HERE), ("wrist_3_link", HERE)],
+        grippers: &[ROBOTIQ, ROBOTIQ_KNUCKLE[0], ROBOTIQ_KNUCKLE[1]],
+        tools: &[
+            ROBOTIQ_TOOL[0],
+            ROBOTIQ_TOOL[1],
+            ("tool0", HERE),
+            ("flange", HERE),
+            ("ee_link", HERE),
+            ("wrist_3_link", HERE),
+        ],
     },
+    // `urdf/xarm7/xarm7.urdf.xacro` and `urdf/gripper/xarm_gripper.urdf.xacro`, without prefix: `drive_joint` goes from 0
+    // to 0.85 rad, and `link_tcp` is 0.172 m before `xarm_gripper_base_link`.
     Preset {
         name: "xarm7",
         title: "UFACTORY xArm 5, 6 or 7, with or without its gripper",
@@ -82,8 +115,11 @@ pub static PRESETS: [Preset; 8] = [
             ("link_eef", HERE),
             ("link7", HERE),
             ("link6", HERE),
+            ("link5", HERE),
         ],
     },
+    // `urdf/iiwa7/iiwa7_description.xacro`: `lbr_A1` to `lbr_A7`, `lbr_link_0` to `lbr_link_7`, `lbr_link_ee` 0.035 m
+    // before the last. The names with `joint_` are of github.com/IFL-CAMP/iiwa_stack and of `pybullet_data`.
     Preset {
         name: "iiwa",
         title: "KUKA LBR iiwa 7 or 14",
@@ -101,6 +137,8 @@ pub static PRESETS: [Preset; 8] = [
             ("lbr_iiwa_link_7", HERE),
         ],
     },
+    // `Simulation/SO101/so101_new_calib.urdf` (`base_link`, `gripper_frame_link`; the jaw turns from -0.1745 rad, closed, to
+    // 1.7453), `so101_old_calib.urdf` and `Simulation/SO100/so100.urdf` (`base`, `gripper`; -0.2 to 2.0 rad).
     Preset {
         name: "so101",
         title: "SO-100 or SO-101 of LeRobot",
@@ -108,8 +146,15 @@ pub static PRESETS: [Preset; 8] = [
         joints: &[&["shoulder_pan"], &["elbow_flex"], &["wrist_roll"]],
         base: &["base_link", "base"],
         grippers: &[("gripper", 1.745, -0.174)],
-        tools: &[("gripper_frame_link", HERE), ("gripper_link", HERE), ("gripper", HERE)],
+        tools: &[
+            ("gripper_frame_link", HERE),
+            ("gripperframe", HERE),
+            ("gripper_link", HERE),
+            ("gripper", HERE),
+        ],
     },
+    // `urdf/vx300s.urdf.xacro`: links begin with the robot's name, joints do not; `left_finger` slides from 0.021 m (closed)
+    // to 0.057.
     Preset {
         name: "viperx-300s",
         title: "Trossen ViperX 300 S of ALOHA, one arm",
@@ -124,14 +169,23 @@ pub static PRESETS: [Preset; 8] = [
             ("gripper_link", HERE),
         ],
     },
+    // `arms/gen3/7dof/urdf/gen3_macro.xacro` and that of `6dof`; the plain URDF beside the first has `Actuator1` to
+    // `Actuator7`.
     Preset {
         name: "kinova-gen3",
         title: "Kinova Gen3, with or without a Robotiq 2F-85",
         source: "github.com/Kinovarobotics/ros2_kortex, package `kortex_description` (expand its xacro)",
-        joints: &[&["joint_1"], &["joint_6"]],
+        joints: &[&["joint_1", "Actuator1"], &["joint_6", "Actuator6"]],
         base: &["base_link"],
-        grippers: &[ROBOTIQ, ROBOTIQ_KNUCKLE],
-        tools: &[ROBOTIQ_TOOL, ("end_effector_link", HERE), ("bracelet_link", HERE)],
+        grippers: &[ROBOTIQ, ROBOTIQ_KNUCKLE[0], ROBOTIQ_KNUCKLE[1]],
+        tools: &[
+            ROBOTIQ_TOOL[0],
+            ROBOTIQ_TOOL[1],
+            ("end_effector_link", HERE),
+            ("EndEffector_Link", HERE),
+            ("bracelet_link", HERE),
+            ("Bracelet_Link", HERE),
+        ],
     },
 ];
 
@@ -228,5 +282,21 @@ mod tests {
         .unwrap();
         assert_eq!((name, spec.base_link.as_str()), ("iiwa", "lbr_iiwa_link_0"));
         assert_eq!(robot(&["base_link"], &["a"]), None);
+        // The Panda as its makers call it today, and a Gen3 in its plain URDF.
+        let (name, spec) = robot(
+            &["fer_link0", "fer_hand", "fer_hand_tcp"],
+            &["fer_joint1", "fer_joint7", "fer_finger_joint1"],
+        )
+        .unwrap();
+        assert_eq!((name, spec.tool_link.as_str()), ("panda-hand", "fer_hand_tcp"));
+        let (name, spec) = robot(&["base_link", "EndEffector_Link"], &["Actuator1", "Actuator6"]).unwrap();
+        assert_eq!((name, spec.tool_link.as_str()), ("kinova-gen3", "EndEffector_Link"));
+        // A UR with the gripper of `robotiq_description` closes as far as its driver closes it.
+        let (name, spec) = robot(
+            &["base_link", "tool0", "robotiq_85_base_link"],
+            &["shoulder_pan_joint", "wrist_3_joint", "robotiq_85_left_knuckle_joint"],
+        )
+        .unwrap();
+        assert_eq!((name, spec.gripper_closed), ("ur5e", 0.7929));
     }
 }

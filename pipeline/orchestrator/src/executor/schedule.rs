@@ -9,7 +9,7 @@ use rogs_schemas::ledger::{Attempt, Failure, Outcome};
 use rogs_schemas::protocol::{FailureCode, JobId};
 
 use super::policy::{Retry, retry};
-use super::progress::Display;
+use super::progress::{Display, Outlook};
 use super::queue::{Queue, Standing};
 use super::slot::{JobResult, Message, Slot};
 use super::{ClipCounts, RunOptions, RunSummary, UnitCounts, UnitFailure};
