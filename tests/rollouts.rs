@@ -215,7 +215,7 @@ fn what_a_world_model_is_given_leads_back_to_the_recording() {
     let unknown: Vec<&str> = arguments.iter().copied().chain(["--link", "panda_link9"]).collect();
     let error = String::from_utf8(workspace.rogs(&unknown).stderr).unwrap();
     assert!(
-        error.contains("no link `panda_link9`; name one with --link: "),
+        error.contains("no link `panda_link9`; ") && error.contains("--link names one"),
         "{error}"
     );
     let (code, written) = workspace.rogs_json(&arguments);

@@ -71,6 +71,31 @@ pub fn did_you_mean<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str
     (alone && nearest <= 1 + word.chars().count() / 4).then_some(candidate)
 }
 
+/// `; did you mean ...?` with the name that was probably meant, or all names when there are few, or nothing.
+#[must_use]
+pub fn suggestion<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> String {
+    let known: Vec<&str> = known.into_iter().collect();
+    match did_you_mean(word, known.iter().copied()) {
+        Some(meant) => format!("; did you mean `{meant}`?"),
+        None if (1..=16).contains(&known.len()) => format!("; it has {}", known.join(", ")),
+        None => String::new(),
+    }
+}
+
+/// Several words that are not among the known names, each with the one that was probably meant: `` `a`, `lfet` (did you
+/// mean `left`?) ``. Nothing when all are known.
+#[must_use]
+pub fn unknown<'a>(words: impl IntoIterator<Item = &'a str>, known: &[&str]) -> Option<String> {
+    let words = words.into_iter().filter(|word| !known.contains(word));
+    let told: Vec<String> = words
+        .map(|word| match did_you_mean(word, known.iter().copied()) {
+            Some(meant) => format!("`{word}` (did you mean `{meant}`?)"),
+            None => format!("`{word}`"),
+        })
+        .collect();
+    (!told.is_empty()).then(|| told.join(", "))
+}
+
 /// Name of a clip, unique in a run; also the name of its folder, so [`check_name`] holds for it.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "String", into = "String")]
@@ -201,5 +226,20 @@ mod tests {
         assert_eq!(did_you_mean("ROOT", ["root", "calibration"]), Some("root"));
         assert_eq!(did_you_mean("zebra", ["root", "calibration"]), None);
         assert_eq!(did_you_mean("a", ["b", "c"]), None, "either");
+        assert_eq!(
+            suggestion("left_fingr", ["left_finger", "waist"]),
+            "; did you mean `left_finger`?"
+        );
+        assert_eq!(
+            suggestion("zebra", ["left_finger", "waist"]),
+            "; it has left_finger, waist"
+        );
+        assert_eq!(suggestion("zebra", ["a"; 17]), "");
+        let known = ["wrist", "ext1", "side"];
+        assert_eq!(
+            unknown(["wrist", "sdie", "zebra"], &known).unwrap(),
+            "`sdie` (did you mean `side`?), `zebra`"
+        );
+        assert_eq!(unknown(["wrist", "side"], &known), None);
     }
 }

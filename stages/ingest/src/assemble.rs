@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use rayon::prelude::*;
+use rogs_schemas::ids::unknown;
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Tracks};
 use rogs_schemas::{CameraIndex, ClipId, EpisodeFrame, FrameIndex, RigidPose};
 use rogs_worker::{StageError, StageResult};
@@ -158,15 +159,16 @@ fn choose_cameras(source: &mut Source, params: &Params) -> StageResult<Vec<Optio
     let names: Vec<String> = source.cameras.iter().map(|camera| camera.id.clone()).collect();
     let mut renamed = names.clone();
     if !params.cameras.is_empty() && !source.cameras_chosen {
+        let known: Vec<&str> = names.iter().map(String::as_str).collect();
+        if let Some(unknown) = unknown(params.cameras.iter().map(|choice| choice.from.as_str()), &known) {
+            let text = format!("the episode has no camera {unknown}, it has {}", known.join(", "));
+            return Err(StageError::bad_params(text).with_hint("`from` in `cameras` under [ingest] names them"));
+        }
         let mut kept = Vec::new();
         for choice in &params.cameras {
-            let position = names.iter().position(|name| *name == choice.from).ok_or_else(|| {
-                StageError::bad_params(format!(
-                    "the episode has no camera `{}`, it has {}",
-                    choice.from,
-                    names.join(", ")
-                ))
-            })?;
+            let Some(position) = names.iter().position(|name| *name == choice.from) else {
+                continue;
+            };
             renamed[position] = choice.id.clone();
             kept.push(position);
         }

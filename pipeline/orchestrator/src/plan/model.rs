@@ -221,7 +221,11 @@ impl Plan {
         let found = found.or_else(|| self.clips.iter().position(|clip| clip.episode == name));
         found.ok_or_else(|| {
             let error = crate::Error::usage(format!("the run has no clip `{name}`"));
-            match rogs_schemas::ids::did_you_mean(name, self.clips.iter().map(|clip| clip.id.as_str())) {
+            let ids = self.clips.iter().map(|clip| clip.id.as_str());
+            let episodes = self.clips.iter().map(|clip| clip.episode.as_str());
+            // Where a clip is called as its episode is, that is one name.
+            let names: std::collections::BTreeSet<&str> = ids.chain(episodes).collect();
+            match rogs_schemas::ids::did_you_mean(name, names) {
                 Some(meant) => error.with_hint(format!("did you mean `{meant}`?")),
                 None => error.with_hint("`rogs status RUN` lists the clips"),
             }

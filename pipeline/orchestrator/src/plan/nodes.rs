@@ -160,6 +160,38 @@ impl<'a> Column<'a> {
     }
 }
 
+/// Names that a stage does not know: where each stands, what is wrong, what to do.
+fn unknown<'t>(at: &At<'t>, given: &'t Params, defaults: &Value, found: &mut Vec<(At<'t>, String, String)>) {
+    let Value::Object(defaults) = defaults else {
+        return;
+    };
+    for (name, value) in given {
+        let here = at.clone().then(name);
+        match defaults.get(name) {
+            Some(inside @ Value::Object(_)) => {
+                if let Value::Object(value) = value {
+                    unknown(&here, value, inside, found);
+                }
+            }
+            Some(_) => {}
+            None => {
+                let hint = if name == "weights" {
+                    "weights are named in a table of their own: [weights] with lift = \"FILE\"".to_owned()
+                } else {
+                    did_you_mean(name, defaults.keys().map(String::as_str)).map_or_else(
+                        || {
+                            let known: Vec<&str> = defaults.keys().map(String::as_str).collect();
+                            format!("known: {}", known.join(", "))
+                        },
+                        |meant| format!("did you mean `{meant}`?"),
+                    )
+                };
+                found.push((here, format!("unknown parameter `{name}` of `{at}`"), hint));
+            }
+        }
+    }
+}
+
 struct Builder<'a> {
     manifest: &'a Manifest,
     text: &'a Text,
@@ -222,32 +254,20 @@ impl<'a> Builder<'a> {
         Ok(())
     }
 
+    /// Refuses names in a table of parameters that the stage does not know: all of them at once, at the place of the first.
     fn check_table(&self, at: At<'_>, given: &Params, defaults: &Value) -> Result<()> {
-        let Value::Object(defaults) = defaults else {
+        let mut found = Vec::new();
+        unknown(&at, given, defaults, &mut found);
+        let mut found = found.into_iter();
+        let Some((here, message, hint)) = found.next() else {
             return Ok(());
         };
-        for (name, value) in given {
-            let here = at.clone().then(name);
-            let Some(default) = defaults.get(name) else {
-                let error = self.text.error(here, format!("unknown parameter `{name}` of `{at}`"));
-                if name == "weights" {
-                    return Err(
-                        error.with_hint("weights are named in a table of their own: [weights] with lift = \"FILE\"")
-                    );
-                }
-                return Err(match did_you_mean(name, defaults.keys().map(String::as_str)) {
-                    Some(meant) => error.with_hint(format!("did you mean `{meant}`?")),
-                    None => {
-                        let known: Vec<&str> = defaults.keys().map(String::as_str).collect();
-                        error.with_hint(format!("known: {}", known.join(", ")))
-                    }
-                });
-            };
-            if let (Value::Object(value), Value::Object(_)) = (value, default) {
-                self.check_table(here, value, default)?;
-            }
-        }
-        Ok(())
+        let others: Vec<String> = found.map(|(_, message, hint)| format!("{message} ({hint})")).collect();
+        let hint = match others[..] {
+            [] => hint,
+            _ => format!("{hint}; also: {}", others.join("; ")),
+        };
+        Err(self.text.error(here, message).with_hint(hint))
     }
 
     /// Adds the nodes of the run or of a variant; says which node makes the output of each stage. `shared` are those of

@@ -12,13 +12,13 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use rogs_geometry::{Link, Pose};
+use rogs_schemas::ids::suggestion;
 
 pub use fk::{JointState, LimitExcess};
 pub(crate) use folder::read_capped;
 pub use rogs_robot_files::RobotFolder;
 
 use crate::error::{Error, Result};
-use crate::names;
 
 /// A robot description that was read and checked: one root, no cycles, unique names, finite numbers, mimic joints resolved
 /// to the joint that drives them. Floating and planar joints are held at their origins.
@@ -188,7 +188,7 @@ impl RobotModel {
             .ok_or_else(|| Error::Unknown {
                 kind: "link",
                 name: name.to_owned(),
-                suggestion: names::suggestion(name, known()),
+                suggestion: suggestion(name, known()),
             })
     }
 
@@ -200,7 +200,7 @@ impl RobotModel {
         let known = |joint: &Joint| joint.name == name;
         self.joints.iter().position(known).ok_or_else(|| {
             let movable = self.joints.iter().filter(|joint| joint.kind != JointKind::Fixed);
-            let suggestion = names::suggestion(name, movable.map(|joint| joint.name.as_str()));
+            let suggestion = suggestion(name, movable.map(|joint| joint.name.as_str()));
             Error::Unknown {
                 kind: "joint",
                 name: name.to_owned(),

@@ -11,6 +11,7 @@ use rogs_ingest::{Fit, Observations, Params, compose, read_clip};
 use rogs_orchestrator::plan::{Plan, WorkUnit, read_plan};
 use rogs_orchestrator::stage::StageId;
 use rogs_r4c::read_record;
+use rogs_schemas::ids::suggestion;
 use rogs_schemas::protocol::JobId;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::robot::RobotMaps;
@@ -216,10 +217,8 @@ fn observed(
 fn link_poses(maps: &RobotMaps, link: &str, steps: u32) -> anyhow::Result<Vec<Pose<Base, Link>>> {
     let links = maps.link_names.len();
     let place = maps.link_names.iter().position(|name| name == link).with_context(|| {
-        format!(
-            "the robot has no link `{link}`; name one with --link: {}",
-            maps.link_names.join(", ")
-        )
+        let meant = suggestion(link, maps.link_names.iter().map(String::as_str));
+        format!("the robot has no link `{link}`{meant}; --link names one")
     })?;
     let stored: Vec<_> = maps.base_from_link.iter().skip(place).step_by(links.max(1)).collect();
     let wanted = steps as usize + 1;

@@ -4,6 +4,7 @@
 
 use std::path::{Path, PathBuf};
 
+use rogs_schemas::ids::suggestion;
 use rogs_schemas::records::clip::CameraRole;
 use rogs_worker::{StageError, StageResult};
 use serde::Deserialize;
@@ -205,10 +206,8 @@ fn camera(
     let names = calibration_names(id, &index.to_string());
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
     let missing = || {
-        let text = format!(
-            "the calibration has no camera `{id}` (it has {})",
-            calibration.cameras().join(", ")
-        );
+        let known = calibration.cameras();
+        let text = format!("the calibration has no camera `{id}`{}", suggestion(id, known));
         wrong(path, text).with_hint("docs/calibration-format.md says what an entry looks like")
     };
     let calibrated = calibration

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use rogs_schemas::ids::did_you_mean;
+use rogs_schemas::ids::unknown;
 use rogs_schemas::records::clip::CameraRole;
 use rogs_worker::{StageError, StageResult};
 
@@ -106,18 +106,18 @@ fn camera_names(dataset: &Dataset, params: &Params) -> StageResult<Vec<(String, 
             .map(|key| (clip_camera(key), key.to_owned()))
             .collect());
     }
+    let last = |key: &&str| key.rsplit('.').next().unwrap_or_default().to_owned();
+    let short: Vec<String> = videos.iter().map(last).collect();
+    let known: Vec<&str> = videos.iter().copied().chain(short.iter().map(String::as_str)).collect();
+    if let Some(unknown) = unknown(params.cameras.iter().map(|choice| choice.from.as_str()), &known) {
+        let text = format!("there is no video feature {unknown}, there are {}", videos.join(", "));
+        return Err(StageError::bad_params(text).with_hint("`from` in `cameras` under [ingest] names them"));
+    }
     let choose = |choice: &crate::params::CameraChoice| {
-        let fits = |key: &&&str| **key == choice.from || key.rsplit('.').next() == Some(&choice.from);
-        let key = videos.iter().find(fits).ok_or_else(|| {
-            StageError::bad_params(format!(
-                "there is no video feature `{}`, there are {}",
-                choice.from,
-                videos.join(", ")
-            ))
-        })?;
-        Ok((choice.id.clone(), (*key).to_owned()))
+        let fits = |key: &&&str| **key == choice.from || last(key) == choice.from;
+        Some((choice.id.clone(), (*videos.iter().find(fits)?).to_owned()))
     };
-    params.cameras.iter().map(choose).collect()
+    Ok(params.cameras.iter().filter_map(choose).collect())
 }
 
 fn open_camera(
@@ -334,21 +334,11 @@ fn state_entries(dataset: &Dataset, choice: &StateColumns, path: &Path) -> Stage
         .iter()
         .chain(&choice.gripper)
         .filter(|name| !name.is_empty());
-    let unknown: Vec<&str> = asked
-        .map(String::as_str)
-        .filter(|name| in_state(name).is_none())
-        .collect();
-    if !unknown.is_empty() {
-        let meant = |name: &&str| {
-            let meant = did_you_mean(name, state.iter().map(String::as_str));
-            let meant = meant.map_or_else(String::new, |meant| format!(" (did you mean `{meant}`?)"));
-            format!("`{name}`{meant}")
-        };
-        let names: Vec<String> = unknown.iter().map(meant).collect();
+    let known: Vec<&str> = state.iter().map(String::as_str).collect();
+    if let Some(unknown) = unknown(asked.map(String::as_str), &known) {
         let text = format!(
-            "`observation.state` has no entry {}; it has {}",
-            names.join(", "),
-            state.join(", ")
+            "`observation.state` has no entry {unknown}; it has {}",
+            known.join(", ")
         );
         return Err(StageError::bad_params(text)
             .with_hint("`joints` and `gripper` under [ingest.states] of the manifest name them"));

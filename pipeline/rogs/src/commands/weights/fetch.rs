@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail, ensure};
+use rogs_schemas::ids::suggestion;
 
 use super::catalogue::{PUBLIC_FILES, PublicFile};
 use super::download::{Download, Event, Expected, client, stated_sha256};
@@ -40,8 +41,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     };
     let Some(file) = PublicFile::by_name(name) else {
-        let known: Vec<&str> = PUBLIC_FILES.iter().map(|file| file.name).collect();
-        bail!("there is no public file `{name}`; there are {}", known.join(", "));
+        let known = PUBLIC_FILES.iter().map(|file| file.name);
+        bail!("there is no public file `{name}`{}", suggestion(name, known));
     };
     let url = args.url.clone().unwrap_or_else(|| file.url.to_owned());
     ensure!(
