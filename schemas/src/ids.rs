@@ -82,6 +82,15 @@ pub fn suggestion<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> S
     }
 }
 
+/// The name that a message of a reader says is unknown, as in ``unknown field `x`, expected one of `y`, `z` ``, and the
+/// other name in it that was probably meant.
+#[must_use]
+pub fn misspelt(message: &str) -> Option<(&str, Option<&str>)> {
+    let words: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
+    let (&name, candidates) = words.split_first().filter(|_| message.contains("unknown "))?;
+    Some((name, did_you_mean(name, candidates.iter().copied())))
+}
+
 /// Several words that are not among the known names, each with the one that was probably meant: `` `a`, `lfet` (did you
 /// mean `left`?) ``. Nothing when all are known.
 #[must_use]

@@ -47,6 +47,28 @@ fn poses_and_intrinsics() {
             matrix[row][3] = (1000.0 * number(&matrix[row][3])).into();
         }
     });
+    cases.edited("centimetres", Failure(" m", "were these centimetres?"), |episode| {
+        let matrix = fixed(episode);
+        for row in 0..3 {
+            matrix[row][3] = (100.0 * number(&matrix[row][3])).into();
+        }
+    });
+    cases.edited("second", Warning("the wrist camera must come first"), |episode| {
+        episode["cameras"].as_array_mut().unwrap().swap(0, 1);
+    });
+    cases.edited("misspelt", Failure("x`; did you mean `", ""), |episode| {
+        let link = &mut episode["cameras"][0]["mount"]["hand_eye"]["link"];
+        *link = format!("{}x", link.as_str().unwrap()).into();
+    });
+    cases.edited(
+        "key",
+        Failure("unknown field `mout`", "did you mean `mount`?"),
+        |episode| {
+            let camera = episode["cameras"][0].as_object_mut().unwrap();
+            let mount = camera.remove("mount").unwrap();
+            camera.insert("mout".into(), mount);
+        },
+    );
     cases.edited(
         "zeros",
         Failure("all zeros: it was never filled in", "calibration"),

@@ -44,7 +44,10 @@ fn images_and_depth() {
     let path = place(
         &mut cases,
         "missing",
-        Failure("it has 16 PNG files, the episode 17 frames", ""),
+        Failure(
+            "it has 16 PNG files, the episode 17 frames; `000009.png` is missing",
+            "",
+        ),
     );
     std::fs::remove_file(path).unwrap();
 

@@ -35,6 +35,14 @@ fn manifests() {
     );
     refused("[input]\n", "[input]\nrot = \"x\"\n", "did you mean `root`?");
     refused("[run]\n", "[run]\nstages = [\"lfit\"]\n", "did you mean `lift`?");
+    // All parameters that no stage knows, at once.
+    let both = "[ingest]\nhieght = 84\nwidht = 154\n";
+    refused("[ingest]\n", both, "unknown parameter `hieght` of `ingest`");
+    refused(
+        "[ingest]\n",
+        both,
+        "also: unknown parameter `widht` of `ingest` (did you mean `width`?)",
+    );
     refused("[run]\n", "[run]\n\"\\u0000\" = 1\n", "altered.toml:");
     refused("[run]\n", "[run\n", "altered.toml:2");
     refused("data/episodes", "nowhere", "is not a folder");

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use rogs_schemas::ids::did_you_mean;
+use rogs_schemas::ids::misspelt;
 use toml_edit::{Document, Item, Table, TableLike, Value};
 
 use crate::error::{Error, Place};
@@ -100,7 +100,7 @@ impl Text {
     /// the table at this place.
     #[must_use]
     pub fn unknown(&self, table: At<'_>, message: &str) -> Error {
-        match unknown_name(message) {
+        match misspelt(message) {
             Some((name, meant)) => suggest(self.error(table.then(name), message), meant),
             None => self.error(table, message),
         }
@@ -172,13 +172,6 @@ impl<'a> Found<'a> {
     }
 }
 
-/// The first word in backticks of a message that says that a name is unknown, and the other name that was probably meant.
-fn unknown_name(message: &str) -> Option<(&str, Option<&str>)> {
-    let words: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
-    let (&name, candidates) = words.split_first().filter(|_| message.contains("unknown "))?;
-    Some((name, did_you_mean(name, candidates.iter().copied())))
-}
-
 /// The error with the name that was probably meant.
 fn suggest(error: Error, meant: Option<&str>) -> Error {
     match meant {
@@ -191,7 +184,7 @@ fn suggest(error: Error, meant: Option<&str>) -> Error {
 pub(crate) fn from_toml_error(text: &Text, error: &toml::de::Error) -> Error {
     let message = error.message().trim().replace('\n', ", ");
     let at = error.span().map(|span| line_and_column(&text.text, span.start));
-    let meant = unknown_name(&message).and_then(|(_, meant)| meant.map(str::to_owned));
+    let meant = misspelt(&message).and_then(|(_, meant)| meant.map(str::to_owned));
     let line = at
         .and_then(|(line, _)| text.text.lines().nth(line - 1))
         .unwrap_or_default();

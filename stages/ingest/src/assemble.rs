@@ -52,6 +52,7 @@ pub(crate) fn assemble(
     let mut warnings = std::mem::take(&mut source.warnings);
     let interval = interval(&source, params)?;
     let chosen = choose_cameras(&mut source, params)?;
+    warnings.extend(wrist_not_first(&source.cameras));
     let decoded: StageResult<Vec<(ClipCamera, Vec<String>)>> = source
         .cameras
         .par_iter()
@@ -152,6 +153,18 @@ pub(crate) fn interval(source: &Source, params: &Params) -> StageResult<Interval
             .with_hint("set `start_frame`, `frames` or `frame_step` to what the episode has"));
     }
     Ok(Interval { start, step, count })
+}
+
+/// What is said where the wrist camera comes behind one that stands still: the networks take the first for the wrist's.
+fn wrist_not_first(cameras: &[SourceCamera]) -> Option<String> {
+    let sources = cameras.iter().filter(|camera| camera.role == CameraRole::Source);
+    let mut sources = sources.map(|camera| (&camera.id, matches!(camera.mount, SourceMount::HandEye { .. })));
+    let (first, moves) = sources.next()?;
+    let (wrist, _) = sources.find(|(_, moves)| *moves).filter(|_| !moves)?;
+    Some(format!(
+        "the first camera, `{first}`, does not ride on the robot, and `{wrist}` does: the wrist camera must come first; \
+         `cameras` under [ingest] sets their order"
+    ))
 }
 
 /// Applies the choice of cameras, puts sources first and returns for every camera of the episode its place in the clip.

@@ -13,6 +13,8 @@ use crate::source::States;
 pub(crate) fn rigid_pose(written: &WrittenPose, what: &str, path: &Path) -> StageResult<RigidPose> {
     /// No camera of a table-top robot is further away, metres.
     const FAR: f64 = 20.0;
+    /// Numbers up to this are more likely centimetres than millimetres.
+    const CENTIMETRES: f64 = 200.0;
     let empty = match written {
         WrittenPose::Matrix(rows) => rows[..3].iter().flatten().all(|&entry| entry == 0.0),
         WrittenPose::Euler(six) => six.iter().all(|&entry| entry == 0.0),
@@ -26,8 +28,13 @@ pub(crate) fn rigid_pose(written: &WrittenPose, what: &str, path: &Path) -> Stag
         Pose::from_written(written).map_err(|error| wrong(path, format!("{what} is not rigid: {error}")))?;
     let distance = pose.translation.length();
     if distance > FAR {
+        let unit = if distance > CENTIMETRES {
+            "millimetres"
+        } else {
+            "centimetres"
+        };
         return Err(wrong(path, format!("{what} has a translation of {distance:.1} m"))
-            .with_hint("translations are metres; were these millimetres?"));
+            .with_hint(format!("translations are metres; were these {unit}?")));
     }
     Ok(pose.to_rigid())
 }

@@ -1,5 +1,7 @@
 //! Image sequences: a folder of PNG files or a video.
 
+use std::collections::BTreeSet;
+use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 
 use image::ColorType;
@@ -190,12 +192,17 @@ fn check_folder(folder: &Path, frame_count: u32) -> StageResult<()> {
         let path = entry.path();
         path.extension().is_some_and(|extension| extension == "png") && !rogs_files::is_stray(&entry.file_name())
     };
-    let found = entries.filter_map(Result::ok).filter(is_png).count();
-    if found != frame_count as usize {
-        return Err(wrong(
-            folder,
-            format!("it has {found} PNG files, the episode {frame_count} frames"),
-        ));
+    let found = entries.filter_map(Result::ok).filter(is_png);
+    let found: BTreeSet<OsString> = found.map(|entry| entry.file_name()).collect();
+    let mut names = (0..frame_count).map(|frame| format!("{frame:06}.png"));
+    let missing = names.find(|name| !found.contains(OsStr::new(name)));
+    if found.len() != frame_count as usize || missing.is_some() {
+        let missing = missing.map_or_else(String::new, |name| format!("; `{name}` is missing"));
+        let text = format!(
+            "it has {} PNG files, the episode {frame_count} frames{missing}",
+            found.len()
+        );
+        return Err(wrong(folder, text));
     }
     Ok(())
 }

@@ -167,6 +167,8 @@ fn limit_warnings(model: &RobotModel, states: &[JointState]) -> Vec<String> {
             "; are the values degrees instead of radians (unit = \"degrees\" under [ingest.states])?"
         } else if worst.abs() > 20.0 * farther && farther > 0.0 && model.joints[joint].kind == JointKind::Linear {
             "; are the values millimetres instead of metres?"
+        } else if of_joint.len() == states.len() {
+            "; is the order of the joints right?"
         } else {
             ""
         };

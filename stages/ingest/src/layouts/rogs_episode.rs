@@ -8,6 +8,7 @@ use rogs_schemas::episode::{
     EPISODE_FILE, EPISODE_FORMAT, Episode, EpisodeCamera, EpisodeCameraRole, EpisodeMount, EpisodeRobot, EpisodeTracks,
     GRIPPER_COLUMN, PixelCentres, TIME_COLUMN,
 };
+use rogs_schemas::ids::misspelt;
 use rogs_schemas::records::clip::CameraRole;
 use rogs_schemas::{Intrinsics, WrittenPose};
 use rogs_worker::StageResult;
@@ -34,7 +35,12 @@ pub(crate) fn read_description(root: &Path) -> StageResult<Episode> {
     let path = root.join(EPISODE_FILE);
     let text = read_text(&path, MAX_JSON)?;
     let episode: Episode = serde_json::from_str(&text).map_err(|error| {
-        wrong(&path, format!("not an episode description: {error}")).with_hint("docs/episode-format.md shows one")
+        let said = error.to_string();
+        let hint = match misspelt(&said) {
+            Some((_, Some(meant))) => format!("did you mean `{meant}`? docs/episode-format.md has all keys"),
+            _ => "docs/episode-format.md shows one".to_owned(),
+        };
+        wrong(&path, format!("not an episode description: {said}")).with_hint(hint)
     })?;
     if episode.format != EPISODE_FORMAT {
         return Err(wrong(
