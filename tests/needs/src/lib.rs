@@ -22,7 +22,8 @@
 //! | `shared` | the folder of reference data: `ROGS_SHARED`, else `shared` beside the checkout |
 //! | `ffmpeg` | `ffmpeg` and `ffprobe` on the `PATH` |
 //! | `libx264` | an `ffmpeg` that encodes H.264 |
-//! | `numpy`, `pillow`, `opencv`, `zstandard` | the package of `ROGS_PEER_PYTHON` (else `python3`) |
+//! | `parallel` | GNU parallel |
+//! | `numpy`, `pillow`, `opencv`, `zstandard`, `hyperqueue` | the package of `ROGS_PEER_PYTHON` (else `python3`) |
 //! | `qemu` | `qemu-x86_64-static`, which emulates processors, on an x86-64 machine |
 //! | `bash` | the shell |
 //! | `cc` | a C compiler |

@@ -31,6 +31,12 @@ pub(crate) fn missing(need: &str, why: &str) -> Result<Option<String>, String> {
             cfg!(target_arch = "x86_64") && on_path("qemu-x86_64-static"),
             "needs qemu-x86_64-static on an x86-64 machine",
         ),
+        // Another program of this name is in moreutils.
+        "parallel" => unless(
+            succeeds("parallel", &["--will-cite", "--version"]),
+            "needs GNU parallel",
+        ),
+        "hyperqueue" => unless(imports("hyperqueue"), "needs Python with hyperqueue (ROGS_PEER_PYTHON)"),
         "bash" => unless(on_path("bash"), "needs bash"),
         // A mount namespace takes the same right as a mount, and leaves nothing behind.
         "mount" => unless(succeeds("unshare", &["--mount", "true"]), "needs the right to mount"),
