@@ -5,7 +5,11 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 #![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 
+#[path = "support/lerobot.rs"]
+mod lerobot;
 mod support;
+#[path = "../stages/ingest/tests/common/tables.rs"]
+mod tables;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -97,6 +101,32 @@ fn a_visitor_sees_a_report_after_one_command() {
 #[test]
 fn a_lerobot_set_runs_from_its_wrist_camera() {
     let said = run(&Workspace::empty(), "lerobot", &shared!(""));
+    assert!(said.contains("1 of 1 clips done, 0 failed"), "{said}");
+}
+
+/// The same script on a made-up set that has the names of that one.
+#[needs(ffmpeg)]
+#[test]
+fn a_made_up_lerobot_set_runs_from_its_wrist_camera() {
+    let workspace = Workspace::empty();
+    let data = workspace.path("data");
+    let arguments = [
+        "synth",
+        "--episodes",
+        "1",
+        "--size",
+        "280x168",
+        "--frames",
+        "24",
+        "--out",
+        "data",
+    ];
+    assert!(workspace.rogs(&arguments).status.success());
+    let episode = data.join("episodes/synth-00000000");
+    lerobot::write_set(&data.join("lerobot_v30_droid"), &episode);
+    // What is left lies as in the folder of reference data: the set, and a robot beside it.
+    std::fs::remove_dir_all(data.join("episodes")).unwrap();
+    let said = run(&workspace, "lerobot", &workspace.path("."));
     assert!(said.contains("1 of 1 clips done, 0 failed"), "{said}");
 }
 
