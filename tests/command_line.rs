@@ -366,3 +366,92 @@ fn known(root: &Value, schema: &Value, value: &toml::Value, place: &str) {
         _ => {}
     }
 }
+
+#[test]
+fn effective_values_say_where_they_come_from() {
+    let workspace = Workspace::small(1);
+    let manifest = std::fs::read_to_string(workspace.path("manifest.toml")).unwrap();
+    workspace.write("manifest.toml", &format!("{manifest}\n[executor]\nthreads = 3\n"));
+    let arguments = ["config", "show", "manifest.toml", "--workers", "2"];
+    let output = workspace.rogs(&arguments);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let said = text(&output.stdout);
+    let line = |key: &str| {
+        let found = said.lines().find(|line| line.starts_with(&format!("{key} = ")));
+        found.unwrap_or_else(|| panic!("no `{key}`: {said}")).to_owned()
+    };
+    let written = manifest.lines().position(|line| line.starts_with("height = ")).unwrap() + 1;
+    assert!(line("ingest.height").ends_with(&format!("# line {written}")), "{said}");
+    assert!(line("ingest.frames").ends_with("# default"), "{said}");
+    assert!(line("executor.workers").starts_with("executor.workers = 2 "), "{said}");
+    assert!(line("executor.workers").ends_with("# command line"), "{said}");
+    // The workers of the command line decide on the threads, whatever the manifest says.
+    assert!(line("executor.threads").ends_with("# this machine"), "{said}");
+    assert!(line("robot.spec.base_link").contains("panda_link0"), "{said}");
+    // Nothing that it names need be there, and the environment is told.
+    workspace.write("manifest.toml", &manifest.replace("data/episodes", "gone"));
+    let output = Command::new(ROGS)
+        .args(["config", "show", "manifest.toml"])
+        .current_dir(workspace.path("."))
+        .env("NO_COLOR", "1")
+        .output()
+        .unwrap();
+    assert!(
+        text(&output.stdout).contains("NO_COLOR = \"1\""),
+        "{}",
+        text(&output.stderr)
+    );
+}
+
+#[test]
+fn less_and_more_is_told_and_the_result_is_the_same() {
+    let workspace = Workspace::small(1);
+    let told = |name: &str, flag: &[&str]| {
+        workspace.manifest("m.toml", name);
+        let manifest = std::fs::read_to_string(workspace.path("m.toml")).unwrap();
+        let manifest = manifest.replacen("[run]\n", "[run]\nstages = [\"robot-maps\"]\n", 1);
+        workspace.write("m.toml", &manifest);
+        let output = workspace.rogs(&[&["run", "m.toml", "--no-report"], flag].concat());
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        assert!(
+            text(&output.stdout).contains("1 of 1 clips done"),
+            "{}",
+            text(&output.stdout)
+        );
+        text(&output.stderr)
+    };
+    let (quiet, usual, detailed) = (told("q", &["-q"]), told("u", &[]), told("v", &["-v"]));
+    assert!(!quiet.contains("[1/2]"), "{quiet}");
+    assert!(
+        usual.contains("[2/2]") && !usual.contains("starts on worker"),
+        "{usual}"
+    );
+    assert!(
+        usual.contains("about ") && usual.contains(" left"),
+        "time is told from the start: {usual}"
+    );
+    assert!(
+        detailed.contains("[2/2]") && detailed.contains("starts on worker"),
+        "{detailed}"
+    );
+    let both = workspace.rogs(&["run", "m.toml", "-q", "-v"]);
+    assert_eq!(both.status.code(), Some(2));
+}
+
+#[test]
+fn colours_are_forced_and_switched_off_by_the_environment() {
+    let said = |variable: &str| {
+        let output = Command::new(ROGS)
+            .args(["status", "nowhere"])
+            .env(variable, "1")
+            .output()
+            .unwrap();
+        text(&output.stderr)
+    };
+    assert!(
+        said("CLICOLOR_FORCE").starts_with("\u{1b}[31merror:\u{1b}[0m "),
+        "{}",
+        said("CLICOLOR_FORCE")
+    );
+    assert!(said("NO_COLOR").starts_with("error: "), "{}", said("NO_COLOR"));
+}

@@ -15,8 +15,9 @@ use serde_json::{Value, json};
 use support::{ROGS, Workspace};
 
 /// The commands of each test here, as manual pages name them; together they are all.
-const RUNS: [&str; 11] = [
+const RUNS: [&str; 12] = [
     "rogs-plan",
+    "rogs-config-show",
     "rogs-submit",
     "rogs-run",
     "rogs-status",
@@ -50,6 +51,7 @@ const FORMATS: [(&[&str], &[&str]); 7] = [
     (
         &RUNS,
         &[
+            "config",
             "diff",
             "gc",
             "inspect",
@@ -86,7 +88,7 @@ const FORMATS: [(&[&str], &[&str]); 7] = [
 ];
 
 /// The commands that only group others.
-const GROUPS: [&str; 3] = ["rogs", "rogs-export", "rogs-weights"];
+const GROUPS: [&str; 4] = ["rogs", "rogs-config", "rogs-export", "rogs-weights"];
 
 /// Camera file with one view in the base frame.
 const CAMERA: &str = r#"{"name": "view", "width": 56, "height": 42, "intrinsics": {"fx": 30, "fy": 30, "cx": 28, "cy": 21},
@@ -117,7 +119,7 @@ impl<'a> Asking<'a> {
 
     /// The value that a command prints, with the exit code it must have.
     fn ask(&mut self, code: i32, arguments: &[&str]) -> Value {
-        let words = if ["export", "weights"].contains(&arguments[0]) {
+        let words = if ["config", "export", "weights"].contains(&arguments[0]) {
             2
         } else {
             1
@@ -225,6 +227,8 @@ fn commands_about_runs() {
         (&json!(1), &json!(false))
     );
     assert!(estimate["seconds"].as_f64().unwrap() > 0.0);
+    let shown = ask(0, &["config", "show", "manifest.toml", "--only", "run."]);
+    assert_eq!(shown["values"][0]["key"], "run.name");
     let dry = ask(0, &["submit", "manifest.toml", "--dry-run"]);
     assert_eq!((&dry["ids"], length(&dry["scripts"])), (&json!([]), 7));
     assert!(!workspace.path("run").exists(), "a dry run writes nothing");
