@@ -12,7 +12,7 @@ use rogs_synth::{CAMERA_NAMES, SynthConfig, generate_episode};
 
 use super::common::{Agreement, compare};
 
-/// Seeds of the procedural episodes that the matcher's settings were chosen with.
+/// Seeds of the procedural episodes that settings are searched on, and whose figures docs/references.md has.
 pub(crate) const TUNED: [u64; 2] = [501, 503];
 /// Seeds of episodes that no setting was chosen with.
 pub(crate) const HELD_OUT: [u64; 4] = [601, 607, 613, 617];
