@@ -131,8 +131,8 @@ fn fill(tree: &mut Value, manifest: &Manifest, programs: &StagePrograms, options
     let memory = manifest.executor.memory.clone();
     for (table, name, value) in [
         ("robot", "preset", json!(DEFAULT_PRESET)),
-        ("weights", "lift", json!("builtin")),
-        ("weights", "refine", json!("builtin")),
+        ("weights", StageId::Lift.name(), json!("builtin")),
+        ("weights", StageId::Refine.name(), json!("builtin")),
         (
             "executor",
             "memory",
