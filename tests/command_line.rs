@@ -439,6 +439,23 @@ fn less_and_more_is_told_and_the_result_is_the_same() {
 }
 
 #[test]
+fn a_table_of_degrees_warns() {
+    let workspace = Workspace::small(1);
+    workspace.write("degrees.csv", "panda_joint1,panda_joint4\n90,-105\n45,-100\n");
+    let output = workspace.rogs(&["fk", "data/robot/panda_synth.urdf", "--joints", "degrees.csv"]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let said = text(&output.stderr);
+    assert!(
+        said.contains("warning: `degrees.csv`: joint `panda_joint4` leaves its limits"),
+        "{said}"
+    );
+    assert!(
+        said.contains("in 2 of 2 rows (worst value -105.0000); are the values degrees"),
+        "{said}"
+    );
+}
+
+#[test]
 fn colours_are_forced_and_switched_off_by_the_environment() {
     let said = |variable: &str| {
         let output = Command::new(ROGS)

@@ -35,6 +35,21 @@ fn manifests() {
     );
     refused("[input]\n", "[input]\nrot = \"x\"\n", "did you mean `root`?");
     refused("[run]\n", "[run]\nstages = [\"lfit\"]\n", "did you mean `lift`?");
+    // Everything that is not there, at once.
+    let workspace_text = std::fs::read_to_string(workspace.path("manifest.toml")).unwrap();
+    workspace.write(
+        "gone.toml",
+        &workspace_text
+            .replace("panda_synth.urdf", "gone.urdf")
+            .replace("data/episodes", "nowhere"),
+    );
+    let output = workspace.rogs(&["plan", "gone.toml"]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert!(
+        said.contains("gone.urdf` is not there, nor `") && said.contains("nowhere` (input.root)"),
+        "{said}"
+    );
     // All parameters that no stage knows, at once.
     let both = "[ingest]\nhieght = 84\nwidht = 154\n";
     refused("[ingest]\n", both, "unknown parameter `hieght` of `ingest`");

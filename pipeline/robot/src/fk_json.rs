@@ -37,13 +37,13 @@ impl<'a> FkTable<'a> {
         Ok(Self { model, header })
     }
 
-    /// Checks a row, counted from 0, whose fields are text.
+    /// Checks a row, counted from 0, whose fields are text, and gives its state.
     ///
     /// # Errors
     /// Names the row (counted from 1 below the header) and the column: wrong number of fields, a field that is not a
     /// finite number, a mimic joint that contradicts its driver.
-    pub fn check<F: AsRef<str>>(&self, row: usize, fields: &[F]) -> Result<()> {
-        self.state(row, fields).map(|_| ())
+    pub fn check<F: AsRef<str>>(&self, row: usize, fields: &[F]) -> Result<JointState> {
+        self.state(row, fields)
     }
 
     /// Link poses of a row, counted from 0.

@@ -11,6 +11,7 @@
 pub mod batch;
 pub mod error;
 pub mod fk_json;
+pub mod limits;
 pub mod mesh;
 pub mod model;
 pub mod names;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 use rogs_geometry::{Base, Camera, Link, Pinhole, Pose, unit_factor};
-use rogs_robot::model::JointKind;
+use rogs_robot::limits::LimitTally;
 use rogs_robot::raster::Renderer;
 use rogs_robot::{JointState, MeshScene, RenderOptions, RobotModel};
 use rogs_schemas::records::clip::{CameraMount, Clip, ClipCamera};
@@ -93,7 +93,9 @@ impl Robot {
 pub fn build(clip: &Clip, robot: &Robot, params: &Params, observer: &mut dyn Observer) -> StageResult<RobotMaps> {
     robot.notes().for_each(|note| observer.warn(note));
     let states = joint_states(clip, robot, params)?;
-    for warning in limit_warnings(&robot.model, &states) {
+    let mut tally = LimitTally::new(&robot.model);
+    states.iter().for_each(|state| tally.add(state));
+    for warning in tally.warnings("frames", "unit = \"degrees\" under [ingest.states]") {
         observer.warn(warning);
     }
     let base_from_link: Vec<Vec<Pose<Base, Link>>> = states.iter().map(|state| robot.model.fk(state)).collect();
@@ -148,38 +150,6 @@ fn joint_states(clip: &Clip, robot: &Robot, params: &Params) -> StageResult<Vec<
         })
     };
     (0..clip.frame_count()).map(state).collect()
-}
-
-/// One warning for each joint that leaves its limits, with the number of frames.
-fn limit_warnings(model: &RobotModel, states: &[JointState]) -> Vec<String> {
-    let excesses: Vec<_> = states.iter().flat_map(|state| model.limit_excesses(state)).collect();
-    let warning = |joint: usize| {
-        let of_joint: Vec<_> = excesses.iter().filter(|excess| excess.joint == joint).collect();
-        let [lower, upper] = of_joint.first()?.limits;
-        let beyond = |value: f64| (lower - value).max(value - upper);
-        let worst = of_joint
-            .iter()
-            .map(|excess| excess.value)
-            .max_by(|a, b| beyond(*a).total_cmp(&beyond(*b)))?;
-        // The farther limit, seen from 0: values of that many times its size have another unit.
-        let farther = lower.abs().max(upper.abs());
-        let degrees = if worst.abs() > 7.0 && model.joints[joint].kind == JointKind::Rotational {
-            "; are the values degrees instead of radians (unit = \"degrees\" under [ingest.states])?"
-        } else if worst.abs() > 20.0 * farther && farther > 0.0 && model.joints[joint].kind == JointKind::Linear {
-            "; are the values millimetres instead of metres?"
-        } else if of_joint.len() == states.len() {
-            "; is the order of the joints right?"
-        } else {
-            ""
-        };
-        Some(format!(
-            "joint `{}` leaves its limits [{lower}, {upper}] in {} of {} frames (worst value {worst:.4}){degrees}",
-            model.joints[joint].name,
-            of_joint.len(),
-            states.len(),
-        ))
-    };
-    (0..model.joints.len()).filter_map(warning).collect()
 }
 
 /// The pose of a camera at every frame.

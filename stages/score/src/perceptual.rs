@@ -42,7 +42,8 @@ impl Perceptual {
         }
         let network = Lpips::open(path).map_err(|error| {
             StageError::bad_input(format!("the LPIPS weights `{}`: {error}", path.display())).with_hint(
-                "give one file with torchvision's VGG16 and the five heads of the `lpips` package, or a folder with both",
+                "give one file with torchvision's VGG16 and the five heads of the `lpips` package, or a folder with both: \
+                 `rogs weights fetch vgg16`, `rogs weights fetch lpips-vgg`",
             )
         })?;
         let network = Arc::new(Self::new(network, MAX_KEPT_BYTES));

@@ -8,6 +8,7 @@ use std::process::ExitCode;
 use anyhow::Context as _;
 use rogs_robot::RobotModel;
 use rogs_robot::fk_json::FkTable;
+use rogs_robot::limits::LimitTally;
 
 use crate::output;
 
@@ -47,10 +48,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     // wrong with any of them.
     let mut reader = open(&args.joints)?;
     let table = FkTable::new(&model, &fields(reader.headers().with_context(place)?)).with_context(place)?;
+    let mut tally = LimitTally::new(&model);
     let (mut record, mut row) = (csv::StringRecord::new(), 0);
     while reader.read_record(&mut record).with_context(place)? {
-        table.check(row, &fields(&record)).with_context(place)?;
+        tally.add(&table.check(row, &fields(&record)).with_context(place)?);
         row += 1;
+    }
+    for warning in tally.warnings("rows", "this table takes radians") {
+        output::warning(&format!("`{}`: {warning}", args.joints.display()));
     }
     let mut reader = open(&args.joints)?;
     let rows = reader.records().enumerate().map(|(row, record)| {

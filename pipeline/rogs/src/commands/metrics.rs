@@ -1,11 +1,11 @@
 //! `rogs metrics`: two images or two folders, without any manifest.
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use rogs_lpips::Lpips;
-use rogs_orchestrator::columns;
+use rogs_orchestrator::{Error, columns};
 use rogs_schemas::shown;
 use rogs_score::folders::{PairScores, score_paths};
 use rogs_score::metrics::{Pixels, RgbView, SsimVariant};
@@ -46,7 +46,7 @@ fn variant(name: &str) -> Result<SsimVariant, String> {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let lpips = match &args.lpips {
-        Some(path) => Some(Lpips::open(path)?),
+        Some(path) => Some(Lpips::open(path).map_err(|error| lpips_error(path, &error))?),
         None => None,
     };
     let features = |lpips: &Lpips, view: &RgbView<'_>| {
@@ -125,6 +125,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     }
     output::text(&text)?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Weights that are none of LPIPS, with where to get them.
+fn lpips_error(path: &Path, error: &rogs_lpips::Error) -> Error {
+    let message = format!("`{}` holds no weights of LPIPS-VGG: {error}", path.display());
+    Error::usage(message).with_hint(
+        "it takes the convolutions of VGG16 and five heads, in one file or one folder: `rogs weights fetch vgg16` and `rogs \
+         weights fetch lpips-vgg`",
+    )
 }
 
 /// A column of the printed scores.
