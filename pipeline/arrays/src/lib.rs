@@ -2,7 +2,7 @@
 //!
 //! | format | read | written |
 //! |---|---|---|
-//! | numpy `.npy` | [`NpyFile`], [`npy_numbers`] | [`npy_header`], [`npy_bytes`] |
+//! | numpy `.npy` | [`NpyFile`], [`npy_numbers`], [`ArrayFile`] | [`npy_header`], [`npy_bytes`] |
 //! | numpy `.npz`, `.safetensors` | [`ArrayFile`] | [`write_npz`] |
 //! | HDF5 | [`Hdf5File`] | |
 //! | OpenEXR, one flat part | [`FlatExr`] | [`write_exr`] |

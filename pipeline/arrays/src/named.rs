@@ -1,4 +1,4 @@
-//! Named arrays in files: numpy's `.npz` and safetensors.
+//! Named arrays in files: numpy's `.npz`, safetensors, and `.npy`, whose one array has a name of ours.
 
 use std::path::{Path, PathBuf};
 
@@ -14,6 +14,9 @@ use crate::{npy, shape};
 
 /// Largest safetensors file that is read, bytes.
 const MAX_FILE: u64 = 1 << 34;
+
+/// What the array of a `.npy` file is called.
+const ONLY: &str = "array";
 
 /// Names of a file that a message lists, at most.
 const MOST_NAMES: usize = 40;
@@ -69,6 +72,7 @@ pub struct ArrayFile {
 
 #[derive(Debug)]
 enum Content {
+    Npy(Vec<u8>),
     Npz(Zip),
     Safetensors {
         bytes: Vec<u8>,
@@ -103,17 +107,26 @@ fn tensors(bytes: &[u8]) -> std::result::Result<BTreeMap<String, Tensor>, safete
 }
 
 impl ArrayFile {
-    /// Opens a `.npz` or `.safetensors` file.
+    /// Opens a `.npz`, `.npy` or `.safetensors` file.
     ///
     /// # Errors
-    /// When it cannot be read or is neither.
+    /// When it cannot be read or is none of these.
     pub fn open(path: &Path) -> Result<Self> {
-        let content = if path.extension().is_some_and(|extension| extension == "safetensors") {
+        let ends = |ending: &str| {
+            path.extension()
+                .is_some_and(|extension| extension.eq_ignore_ascii_case(ending))
+        };
+        let whole = || {
             let length = std::fs::metadata(path).map_err(|error| Error::io(path, error))?.len();
             if length > MAX_FILE {
                 return Err(Error::wrong(path, "it is larger than 16 GiB"));
             }
-            let bytes = rogs_files::read(path).map_err(|error| Error::io(path, error))?;
+            rogs_files::read(path).map_err(|error| Error::io(path, error))
+        };
+        let content = if ends("npy") {
+            Content::Npy(whole()?)
+        } else if ends("safetensors") {
+            let bytes = whole()?;
             // The whole file is checked: what the header says covers it, without a gap.
             SafeTensors::deserialize(&bytes).map_err(|error| Error::wrong(path, error.to_string()))?;
             let tensors = tensors(&bytes).map_err(|error| Error::wrong(path, error.to_string()))?;
@@ -137,6 +150,7 @@ impl ArrayFile {
     #[must_use]
     pub fn names(&self) -> Vec<String> {
         match &self.content {
+            Content::Npy(_) => vec![ONLY.to_owned()],
             Content::Npz(zip) => {
                 let names = zip.names().filter_map(|name| name.strip_suffix(".npy"));
                 let mut names: Vec<String> = names.map(String::from).collect();
@@ -181,6 +195,11 @@ impl ArrayFile {
     fn get(&self, name: &str) -> Result<Option<Array>> {
         let wrong = |what: String| Error::wrong(&self.path, format!("array `{name}`: {what}"));
         let (shape, values) = match &self.content {
+            Content::Npy(_) if name != ONLY => return Ok(None),
+            Content::Npy(bytes) => {
+                let (dtype, shape, data) = npy::parse(bytes).map_err(|what| Error::wrong(&self.path, what))?;
+                (shape, dtype.values(&data))
+            }
             Content::Npz(zip) => match zip.read(&format!("{name}.npy"))? {
                 None => return Ok(None),
                 Some(bytes) => {

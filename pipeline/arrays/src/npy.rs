@@ -281,7 +281,11 @@ fn header(head: &[u8], start: usize) -> std::result::Result<(Dtype, Layout, Vec<
         .and_then(|rest| rest.split_once(')'))
         .ok_or("the header has no shape")?
         .0;
-    let lengths = shape.split(',').map(str::trim).filter(|text| !text.is_empty());
+    // Python 2 wrote `3L`.
+    let lengths = shape
+        .split(',')
+        .map(|text| text.trim().trim_end_matches('L'))
+        .filter(|text| !text.is_empty());
     let lengths: std::result::Result<Vec<usize>, _> = lengths.map(str::parse).collect();
     let lengths = lengths.map_err(|_| format!("the shape ({shape}) is not a list of lengths"))?;
     if lengths.len() > MAX_DIMENSIONS {
@@ -351,6 +355,38 @@ mod tests {
         assert_eq!(parse(&bytes), Ok((Dtype::I16, vec![2, 1], data)));
         let scalar = npy("{'descr': '|b1', 'fortran_order': False, 'shape': (), }", &[1]);
         assert_eq!(parse(&scalar), Ok((Dtype::U8, vec![], Cow::Borrowed([1].as_slice()))));
+        let of_python_2 = npy("{'descr': '|u1', 'fortran_order': False, 'shape': (2L, 1L), }", &[1, 2]);
+        assert_eq!(parse(&of_python_2).unwrap().1, [2, 1]);
+    }
+
+    #[test]
+    fn every_type_of_number_has_its_value() {
+        for (descr, bytes, expected) in [
+            ("|b1", vec![1], 1.0),
+            ("|i1", vec![0xfe], -2.0),
+            ("|u1", vec![0xfe], 254.0),
+            ("<u2", vec![0x20, 0x03], 800.0),
+            (">u2", vec![0x03, 0x20], 800.0),
+            (">i4", vec![0xff, 0xff, 0xfc, 0xe0], -800.0),
+            ("<u4", vec![0x20, 0x03, 0, 0], 800.0),
+            ("<i8", vec![0x20, 0x03, 0, 0, 0, 0, 0, 0], 800.0),
+            (">u8", vec![0, 0, 0, 0, 0, 0, 0x03, 0x20], 800.0),
+            ("<f2", half::f16::from_f32(0.75).to_le_bytes().to_vec(), 0.75),
+            (">f2", half::f16::from_f32(0.75).to_be_bytes().to_vec(), 0.75),
+            (">f4", 0.75_f32.to_be_bytes().to_vec(), 0.75),
+            (">f8", 0.75_f64.to_be_bytes().to_vec(), 0.75),
+        ] {
+            let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': (1,), }}");
+            assert_eq!(npy_numbers(&npy(&header, &bytes)).unwrap().1, [expected], "{descr}");
+        }
+        for descr in ["<V2", "<f16", "<c8", "|O", "<U4", "|S3", "<M8[ns]"] {
+            let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': (1,), }}");
+            let why = npy_numbers(&npy(&header, &[0; 16])).unwrap_err();
+            assert!(
+                why.contains(&format!("`{descr}`")) && why.contains("use 32-bit floats"),
+                "{why}"
+            );
+        }
     }
 
     /// `numpy.arange(6).reshape(2, 3)` in both orders of axes and of bytes, and with three axes.

@@ -18,6 +18,7 @@
 //! | to read | call |
 //! |---|---|
 //! | a file that somebody else named, which may be a pipe or a device | [`open`], [`read()`], [`read_to_string`] |
+//! | what lies in a folder of data, without what systems leave there | [`entries`] |
 //! | whether anybody else is at work | [`Lock`], [`is_locked`] |
 //!
 //! ```
@@ -55,5 +56,5 @@ pub use lock::{Lock, LockError, is_locked};
 pub use missing::is_missing_operation;
 pub use place::{append, make_folder_below, open, read, read_to_string, remove_below};
 pub use probe::probe;
-pub use stray::is_stray;
+pub use stray::{entries, is_stray};
 pub use writer::remove_own;

@@ -128,12 +128,8 @@ fn walk(root: &Path, folder: &Path, depth: usize, files: &mut BTreeMap<String, P
         let source = std::io::Error::other("folders are nested without end: does a link lead back?");
         return Err(io(source));
     }
-    for entry in std::fs::read_dir(folder).map_err(io)? {
-        let entry = entry.map_err(io)?;
-        let path = entry.path();
-        if rogs_files::is_stray(&entry.file_name()) {
-            continue;
-        }
+    for entry in rogs_files::entries(folder).map_err(io)? {
+        let path = entry.map_err(io)?.path();
         if path.is_dir() {
             walk(root, &path, depth + 1, files)?;
         } else if path.is_file() {

@@ -187,11 +187,8 @@ pub(crate) fn numbered(index: u32, extension: &str) -> String {
 
 /// A folder must hold exactly the frames of the episode.
 fn check_folder(folder: &Path, frame_count: u32) -> StageResult<()> {
-    let entries = std::fs::read_dir(folder).map_err(|error| io_error(folder, &error))?;
-    let is_png = |entry: &std::fs::DirEntry| {
-        let path = entry.path();
-        path.extension().is_some_and(|extension| extension == "png") && !rogs_files::is_stray(&entry.file_name())
-    };
+    let entries = rogs_files::entries(folder).map_err(|error| io_error(folder, &error))?;
+    let is_png = |entry: &std::fs::DirEntry| entry.path().extension().is_some_and(|extension| extension == "png");
     let found = entries.filter_map(Result::ok).filter(is_png);
     let found: BTreeSet<OsString> = found.map(|entry| entry.file_name()).collect();
     let mut names = (0..frame_count).map(|frame| format!("{frame:06}.png"));

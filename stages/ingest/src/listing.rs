@@ -47,10 +47,9 @@ pub fn list_episodes(root: &Path) -> StageResult<Vec<EpisodeListing>> {
     if !found.is_empty() && found.iter().any(|episode| episode.layout != ctrlworld::LAYOUT) {
         return Ok(found);
     }
-    let entries = std::fs::read_dir(root).map_err(|error| io_error(root, &error))?;
+    let entries = rogs_files::entries(root).map_err(|error| io_error(root, &error))?;
     let mut names: Vec<String> = entries
         .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
-        .filter(|name| !rogs_files::is_stray(name.as_ref()))
         .collect();
     names.sort();
     for name in names {
@@ -173,13 +172,10 @@ pub fn count_frames(root: &Path, episodes: &mut [EpisodeListing]) {
 /// Every file below a folder but strays, relative; links are followed.
 fn all_files(folder: &Path) -> StageResult<Vec<String>> {
     fn walk(root: &Path, folder: &Path, depth: usize, out: &mut Vec<String>) -> StageResult<()> {
-        let entries = std::fs::read_dir(folder).map_err(|error| io_error(folder, &error))?;
+        let entries = rogs_files::entries(folder).map_err(|error| io_error(folder, &error))?;
         for entry in entries.filter_map(Result::ok) {
             let path = entry.path();
             let name = path.strip_prefix(root).unwrap_or(&path).to_str().map(str::to_owned);
-            if rogs_files::is_stray(&entry.file_name()) {
-                continue;
-            }
             match path.is_dir() {
                 true if depth < 8 => walk(root, &path, depth + 1, out)?,
                 true => {}

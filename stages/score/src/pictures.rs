@@ -1,4 +1,4 @@
-//! Reading images and depth maps from files that belong to no manifest: PNG, JPEG, OpenEXR, numpy's `.npz` and
+//! Reading images and depth maps from files that belong to no manifest: PNG, JPEG, OpenEXR, numpy's `.npy` and `.npz`, and
 //! safetensors.
 
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use rogs_arrays::{Array, ArrayFile, FlatExr, Problem, Values, within_budget};
 use crate::metrics::Pixels;
 
 /// Extensions of the files that are read.
-pub const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "exr", "npz", "safetensors"];
+pub const EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "exr", "npy", "npz", "safetensors"];
 /// Largest image side that is read, pixels.
 const MAX_SIDE: usize = 1 << 15;
 /// Most memory that one decoded image may take, bytes.
@@ -26,7 +26,12 @@ pub struct Picture {
     pub width: usize,
     /// Its values.
     pub content: Content,
+    /// What was taken for granted of it and a person should know.
+    pub note: Option<&'static str>,
 }
+
+/// Metres of one step of 16-bit grey pixels, unless somebody says otherwise: millimetres, as ingest has them.
+const PNG_STEP_M: f64 = 0.001;
 
 /// Values of a picture.
 #[derive(Debug, Clone, PartialEq)]
@@ -102,23 +107,32 @@ impl PictureError {
 
 /// Reads all pictures of a file, in the order of their names.
 ///
-/// PNG and JPEG files hold colours (16-bit ones keep their precision, an alpha channel is not looked at). OpenEXR files
-/// hold colours (channels R, G and B, taken as they are) or depth in metres (channel Z, or the only one). In `.npz` and
-/// `.safetensors` files every array is taken: `[H, W, 3]` and `[T, H, W, 3]` are colours, `[H, W]` and `[T, H, W]` depth
-/// in metres, and an array called `depth...` is depth in any case; lists of numbers are passed over.
+/// PNG and JPEG files hold colours (16-bit ones keep their precision, an alpha channel is not looked at); 16-bit grey PNG
+/// is depth in millimetres. OpenEXR files hold colours (channels R, G and B, taken as they are) or depth in metres (channel
+/// Z, or the only one). In `.npy`, `.npz` and `.safetensors` files every array is taken: `[H, W, 3]` and `[T, H, W, 3]` are
+/// colours, `[H, W]` and `[T, H, W]` (perhaps with a last axis of 1) depth in metres, and an array called `depth...` is depth
+/// in any case; lists of numbers are passed over. `unit_m` are the metres of one step of depth where they are others.
 ///
 /// # Errors
 /// When the file cannot be read or holds something else.
-pub fn read_pictures(path: &Path) -> Result<Vec<Picture>, PictureError> {
-    match extension(path).as_str() {
-        "exr" => Ok(vec![read_exr(path)?]),
-        "npz" | "safetensors" => read_arrays(path),
-        "png" | "jpg" | "jpeg" => Ok(vec![read_image(path)?]),
-        other => Err(PictureError::wrong(
-            path,
-            format!("files `.{other}` are not read; {} are", EXTENSIONS.join(", ")),
-        )),
+pub fn read_pictures(path: &Path, unit_m: Option<f64>) -> Result<Vec<Picture>, PictureError> {
+    let mut pictures = match extension(path).as_str() {
+        "exr" => vec![read_exr(path)?],
+        "npy" | "npz" | "safetensors" => read_arrays(path)?,
+        "png" | "jpg" | "jpeg" => return Ok(vec![read_image(path, unit_m)?]),
+        other => {
+            let what = format!("files `.{other}` are not read; {} are", EXTENSIONS.join(", "));
+            return Err(PictureError::wrong(path, what));
+        }
+    };
+    if let Some(unit) = unit_m {
+        for picture in &mut pictures {
+            if let Content::Depth(values) = &mut picture.content {
+                (values.iter_mut()).for_each(|value| *value = (f64::from(*value) * unit) as f32);
+            }
+        }
     }
+    Ok(pictures)
 }
 
 /// The extension in lower case.
@@ -127,7 +141,7 @@ pub(crate) fn extension(path: &Path) -> String {
     own.unwrap_or_default().to_ascii_lowercase()
 }
 
-fn read_image(path: &Path) -> Result<Picture, PictureError> {
+fn read_image(path: &Path, unit_m: Option<f64>) -> Result<Picture, PictureError> {
     let read = |source| PictureError::Read {
         path: path.to_owned(),
         source,
@@ -165,6 +179,22 @@ fn read_image(path: &Path) -> Result<Picture, PictureError> {
     let image = image::DynamicImage::from_decoder(decoder).map_err(unreadable)?;
     let (height, width) = (image.height() as usize, image.width() as usize);
     let channels = usize::from(image.color().channel_count()).max(1);
+    if let image::DynamicImage::ImageLuma16(steps) = image {
+        let step = unit_m.unwrap_or(PNG_STEP_M);
+        let depth_m = steps
+            .into_raw()
+            .into_iter()
+            .map(|value| (f64::from(value) * step) as f32);
+        return Ok(Picture {
+            name: String::new(),
+            height,
+            width,
+            content: Content::Depth(depth_m.collect()),
+            note: unit_m
+                .is_none()
+                .then_some("16-bit grey pixels are taken as depth in millimetres"),
+        });
+    }
     let content = if usize::from(image.color().bytes_per_pixel()) == channels {
         Content::Bytes(image.into_rgb8().into_raw())
     } else {
@@ -175,6 +205,7 @@ fn read_image(path: &Path) -> Result<Picture, PictureError> {
         height,
         width,
         content,
+        note: None,
     })
 }
 
@@ -195,6 +226,7 @@ fn read_exr(path: &Path) -> Result<Picture, PictureError> {
         height,
         width,
         content,
+        note: None,
     })
 }
 
@@ -234,8 +266,8 @@ fn split(array: Array) -> Result<Vec<Picture>, String> {
     let (times, height, width, colours) = match *array.shape.as_slice() {
         [height, width, 3] if !named_depth => (None, height, width, true),
         [times, height, width, 3] if !named_depth => (Some(times), height, width, true),
-        [height, width] => (None, height, width, false),
-        [times, height, width] => (Some(times), height, width, false),
+        [height, width] | [height, width, 1] => (None, height, width, false),
+        [times, height, width] | [times, height, width, 1] => (Some(times), height, width, false),
         _ => {
             return Err(format!(
                 "array `{}` has shape {:?}; colours are [H, W, 3] or [T, H, W, 3], depth is [H, W] or [T, H, W]",
@@ -243,7 +275,7 @@ fn split(array: Array) -> Result<Vec<Picture>, String> {
             ));
         }
     };
-    let Array { name, values, .. } = array;
+    let Array { name, values, shape } = array;
     let size = height * width * if colours { 3 } else { 1 };
     if size == 0 {
         return Err(format!("array `{name}` is empty"));
@@ -252,7 +284,12 @@ fn split(array: Array) -> Result<Vec<Picture>, String> {
         Values::Bytes(values) if colours => {
             (values.chunks_exact(size).map(|part| Content::Bytes(part.to_vec()))).collect()
         }
-        Values::Bytes(_) => return Err(format!("array `{name}` holds bytes; depth is metres as floats")),
+        Values::Bytes(_) => {
+            return Err(format!(
+                "array `{name}` of shape {:?} holds bytes, and depth has more steps; colours are [H, W, 3]",
+                shape
+            ));
+        }
         Values::Floats(values) => {
             let kind = if colours { Content::Unit } else { Content::Depth };
             values.chunks_exact(size).map(|part| kind(part.to_vec())).collect()
@@ -263,6 +300,7 @@ fn split(array: Array) -> Result<Vec<Picture>, String> {
         height,
         width,
         content,
+        note: None,
     };
     Ok(contents.into_iter().enumerate().map(picture).collect())
 }

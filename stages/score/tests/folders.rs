@@ -26,7 +26,7 @@ fn two_files_and_two_folders_give_the_scores_of_their_pixels() {
     picture(0).save(own.join("c.png")).unwrap();
     std::fs::write(other.join("notes.txt"), "no image").unwrap();
     let variant = SsimVariant::Torchmetrics;
-    let scores = score_paths(&own, &other, variant, None).unwrap();
+    let scores = score_paths(&own, &other, variant, None, [None; 2]).unwrap();
     let (a, b) = (picture(0), picture(5));
     let view = |image: &'static RgbImage| RgbView::new(24, 32, Pixels::Bytes(image.as_raw())).unwrap();
     let (a, b) = (view(Box::leak(Box::new(a))), view(Box::leak(Box::new(b))));
@@ -43,7 +43,14 @@ fn two_files_and_two_folders_give_the_scores_of_their_pixels() {
     assert_eq!((scores.lpips, scores.lpips_note.is_some()), (None, true));
 
     let distance = |own: &RgbView<'_>, _: &RgbView<'_>| Some((own.height() * own.width()) as f64);
-    let one = score_paths(&own.join("a.png"), &other.join("a.png"), variant, Some(&distance)).unwrap();
+    let one = score_paths(
+        &own.join("a.png"),
+        &other.join("a.png"),
+        variant,
+        Some(&distance),
+        [None; 2],
+    )
+    .unwrap();
     assert_eq!((one.psnr, one.lpips), (scores.psnr, Some(768.0)));
 }
 
@@ -55,28 +62,28 @@ fn what_cannot_be_scored_is_explained() {
     std::fs::create_dir_all(&other).unwrap();
     let variant = SsimVariant::default();
     assert!(matches!(
-        score_paths(&own, &other, variant, None),
+        score_paths(&own, &other, variant, None, [None; 2]),
         Err(FolderError::NothingInCommon { .. })
     ));
     picture(0).save(own.join("a.png")).unwrap();
     assert!(matches!(
-        score_paths(&own.join("a.png"), &other, variant, None),
+        score_paths(&own.join("a.png"), &other, variant, None, [None; 2]),
         Err(FolderError::Mixed { .. })
     ));
     RgbImage::new(8, 8).save(other.join("a.png")).unwrap();
-    let error = score_paths(&own, &other, variant, None).unwrap_err();
+    let error = score_paths(&own, &other, variant, None, [None; 2]).unwrap_err();
     assert!(
         matches!(&error, FolderError::Pair { name, .. } if name == "a.png"),
         "{error}"
     );
     std::fs::write(other.join("a.png"), b"nonsense").unwrap();
     assert!(matches!(
-        score_paths(&own, &other, variant, None),
+        score_paths(&own, &other, variant, None, [None; 2]),
         Err(FolderError::Picture(PictureError::Image { .. }))
     ));
     let small = folder.path().join("small.png");
     RgbImage::new(8, 8).save(&small).unwrap();
-    let scores = score_paths(&small, &small, variant, None).unwrap();
+    let scores = score_paths(&small, &small, variant, None, [None; 2]).unwrap();
     assert_eq!((scores.psnr, scores.ssim), (Some(100.0), None));
 }
 
@@ -101,7 +108,7 @@ fn depth_files_have_depth_errors_where_the_reference_lies_in_range() {
     let [own, other] = ["own.exr", "other.exr"].map(|name| folder.path().join(name));
     write_depth(&own, 3, 2, "Z", vec![1.1, 2.0, f32::NAN, 9.0, 9.0, 9.0]);
     write_depth(&other, 3, 2, "Z", vec![1.0, 2.0, 4.0, 0.1, 5.0, f32::NAN]);
-    let scores = score_paths(&own, &other, SsimVariant::default(), None).unwrap();
+    let scores = score_paths(&own, &other, SsimVariant::default(), None, [None; 2]).unwrap();
     let pair = &scores.pairs[0];
     assert_eq!((pair.psnr, pair.support_n, scores.n.depth), (None, Some(3), 1));
     assert!((scores.absrel.unwrap() - (0.1 + 0.0 + 1.0) / 3.0).abs() < 1e-6);
@@ -110,15 +117,15 @@ fn depth_files_have_depth_errors_where_the_reference_lies_in_range() {
 
     // Millimetres, say: nothing lies in range.
     write_depth(&other, 3, 2, "Z", vec![1000.0; 6]);
-    let scores = score_paths(&own, &other, SsimVariant::default(), None).unwrap();
+    let scores = score_paths(&own, &other, SsimVariant::default(), None, [None; 2]).unwrap();
     assert_eq!((scores.absrel, scores.n.depth), (None, 0));
     assert!(scores.pairs[0].notes.iter().any(|note| note.contains("metres")));
 
     write_depth(&other, 2, 3, "Z", vec![1.0; 6]);
-    let error = score_paths(&own, &other, SsimVariant::default(), None).unwrap_err();
+    let error = score_paths(&own, &other, SsimVariant::default(), None, [None; 2]).unwrap_err();
     assert!(matches!(error, FolderError::Pair { .. }), "{error}");
     write_colours(&other, 3, 2, |_, _| 0.5);
-    let error = score_paths(&own, &other, SsimVariant::default(), None).unwrap_err();
+    let error = score_paths(&own, &other, SsimVariant::default(), None, [None; 2]).unwrap_err();
     assert!(
         error.to_string().contains("holds depth, the reference colours"),
         "{error}"
@@ -134,14 +141,14 @@ fn floats_keep_their_precision_and_say_what_is_clipped() {
         if (x, y) == (3, 4) { f32::NAN } else { ramp(x, y) + 0.001 }
     });
     write_colours(&other, 24, 20, ramp);
-    let scores = score_paths(&own, &other, SsimVariant::default(), None).unwrap();
+    let scores = score_paths(&own, &other, SsimVariant::default(), None, [None; 2]).unwrap();
     let expected = 0.001f64.powi(2) * 479.0 / 480.0 + f64::from(ramp(3, 4)).powi(2) / 480.0;
     assert!((scores.psnr.unwrap() + 10.0 * expected.log10()).abs() < 1e-3);
     assert!(scores.pairs[0].notes[0].contains("3 values of the prediction"));
-    let error = score_paths(&other, &own, SsimVariant::default(), None).unwrap_err();
+    let error = score_paths(&other, &own, SsimVariant::default(), None, [None; 2]).unwrap_err();
     assert!(error.to_string().contains("of the reference are not finite"), "{error}");
     write_colours(&own, 24, 20, |x, y| 255.0 * ramp(x, y));
-    let scores = score_paths(&own, &other, SsimVariant::default(), None).unwrap();
+    let scores = score_paths(&own, &other, SsimVariant::default(), None, [None; 2]).unwrap();
     assert!(scores.pairs[0].notes[0].contains("floats are colours in 0 to 1"));
 }
 
@@ -180,7 +187,7 @@ fn arrays_are_compared_by_name_and_time() {
             ("depth_wrist", vec![2, 12, 14], 1.0),
         ],
     );
-    let scores = score_paths(&own, &other, SsimVariant::default(), None).unwrap();
+    let scores = score_paths(&own, &other, SsimVariant::default(), None, [None; 2]).unwrap();
     let names: Vec<&str> = scores
         .pairs
         .iter()
@@ -192,15 +199,15 @@ fn arrays_are_compared_by_name_and_time() {
     assert!(scores.only_in_prediction[0].ends_with(":rgb_wrist[1]"));
 
     let lists = write("lists.safetensors", &[frames]);
-    let error = score_paths(&lists, &other, SsimVariant::default(), None).unwrap_err();
+    let error = score_paths(&lists, &other, SsimVariant::default(), None, [None; 2]).unwrap_err();
     assert!(
         error.to_string().contains("no array of images; it has: frames"),
         "{error}"
     );
     let strange = write("strange.safetensors", &[("rgb", vec![2, 2, 2, 2], 0.0)]);
-    let error = score_paths(&strange, &other, SsimVariant::default(), None).unwrap_err();
+    let error = score_paths(&strange, &other, SsimVariant::default(), None, [None; 2]).unwrap_err();
     assert!(error.to_string().contains("[2, 2, 2, 2]"), "{error}");
     let missing = folder.path().join("missing.png");
-    let error = score_paths(&own, &missing, SsimVariant::default(), None).unwrap_err();
+    let error = score_paths(&own, &missing, SsimVariant::default(), None, [None; 2]).unwrap_err();
     assert!(matches!(error, FolderError::Nothing { .. }), "{error}");
 }

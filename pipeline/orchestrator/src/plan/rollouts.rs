@@ -26,7 +26,7 @@ impl RolloutFolder {
     /// When it cannot be read.
     pub(super) fn read(root: &Path) -> Result<Self> {
         let mut by_name: HashMap<String, Vec<String>> = HashMap::new();
-        for entry in std::fs::read_dir(root).map_err(io("cannot read", root))? {
+        for entry in rogs_files::entries(root).map_err(io("cannot read", root))? {
             let path = entry.map_err(io("cannot read", root))?.path();
             let Some(name) = path.file_name().and_then(|name| name.to_str()).map(str::to_owned) else {
                 continue;

@@ -15,8 +15,9 @@ use crate::output;
 /// Scores images or depth maps without any manifest: two files, or two folders matched by file name.
 ///
 /// Colours get PSNR, SSIM and, with weights, LPIPS; depth in metres gets AbsRel, RMSE and delta1 where the reference lies
-/// between 0.1 and 5 m. Files are PNG or JPEG (colours), OpenEXR (channels R, G, B: colours in 0 to 1; Z: depth), npz or
-/// safetensors (arrays [H, W, 3] or [T, H, W, 3]: colours, 8 bit or floats in 0 to 1; [H, W] or [T, H, W]: depth).
+/// between 0.1 and 5 m. Files are PNG or JPEG (colours; 16-bit grey PNG: depth in millimetres), OpenEXR (channels R, G, B:
+/// colours in 0 to 1; Z: depth), npy, npz or safetensors (arrays [H, W, 3] or [T, H, W, 3]: colours, 8 bit or floats in 0 to
+/// 1; [H, W] or [T, H, W]: depth).
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Prediction: a file, or a folder of files.
@@ -29,6 +30,12 @@ pub(crate) struct Args {
     /// LPIPS weights (VGG16 features and linear heads, safetensors).
     #[arg(long, value_name = "FILE")]
     lpips: Option<PathBuf>,
+    /// Metres that one step of the prediction's depth stands for, e.g. 0.001 for millimetres.
+    #[arg(long, value_name = "METRES", value_parser = unit)]
+    prediction_unit_m: Option<f64>,
+    /// The same for the reference.
+    #[arg(long, value_name = "METRES", value_parser = unit)]
+    reference_unit_m: Option<f64>,
     /// Print one JSON value.
     #[arg(long)]
     json: bool,
@@ -42,6 +49,12 @@ fn variant(name: &str) -> Result<SsimVariant, String> {
     ];
     let found = all.into_iter().find(|variant| variant.name() == name);
     found.ok_or_else(|| format!("variants are {}", all.map(SsimVariant::name).join(", ")))
+}
+
+fn unit(text: &str) -> Result<f64, String> {
+    let unit = text.trim().parse::<f64>().ok();
+    unit.filter(|unit| (1e-9..1e3).contains(unit))
+        .ok_or_else(|| "expected metres of one step, e.g. 0.001".to_owned())
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
@@ -63,7 +76,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
             .ok()
     };
     let distance: Option<rogs_score::folders::Distance<'_>> = if lpips.is_some() { Some(&distance) } else { None };
-    let scores = score_paths(&args.prediction, &args.reference, args.ssim, distance)?;
+    let units_m = [args.prediction_unit_m, args.reference_unit_m];
+    let scores = score_paths(&args.prediction, &args.reference, args.ssim, distance, units_m)?;
     if args.json {
         output::json(&scores)?;
         return Ok(ExitCode::SUCCESS);

@@ -90,10 +90,9 @@ fn subfolders(folder: &Path) -> StageResult<Vec<(String, PathBuf)>> {
 }
 
 fn file_names(folder: &Path) -> StageResult<Vec<String>> {
-    let entries = std::fs::read_dir(folder).map_err(|error| io_error(folder, &error))?;
+    let entries = rogs_files::entries(folder).map_err(|error| io_error(folder, &error))?;
     let mut names: Vec<String> = entries
         .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
-        .filter(|name| !rogs_files::is_stray(name.as_ref()))
         .collect();
     names.sort();
     Ok(names)

@@ -154,12 +154,7 @@ impl Dataset {
         let mut files = Vec::new();
         for chunk in sorted(&self.root.join(TABLES))? {
             if chunk.is_dir() {
-                let is_table = |path: &PathBuf| {
-                    let hidden = path
-                        .file_name()
-                        .is_some_and(|name| name.to_string_lossy().starts_with('.'));
-                    !hidden && path.extension().is_some_and(|extension| extension == "parquet")
-                };
+                let is_table = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "parquet");
                 files.extend(sorted(&chunk)?.into_iter().filter(is_table));
             }
         }
@@ -416,11 +411,8 @@ impl Lines {
 }
 
 fn sorted(folder: &Path) -> StageResult<Vec<PathBuf>> {
-    let entries = std::fs::read_dir(folder).map_err(|error| io_error(folder, &error))?;
-    let data = entries
-        .filter_map(Result::ok)
-        .filter(|entry| !rogs_files::is_stray(&entry.file_name()));
-    let mut paths: Vec<PathBuf> = data.map(|entry| entry.path()).collect();
+    let entries = rogs_files::entries(folder).map_err(|error| io_error(folder, &error))?;
+    let mut paths: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
     paths.sort();
     Ok(paths)
 }

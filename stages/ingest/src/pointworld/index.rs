@@ -72,12 +72,8 @@ fn walk(
     found: &mut ReferenceFiles,
     shards: &mut Vec<String>,
 ) -> StageResult<()> {
-    let entries = std::fs::read_dir(folder).map_err(|error| io_error(folder, &error))?;
-    let mut paths: Vec<_> = entries
-        .filter_map(Result::ok)
-        .filter(|entry| !rogs_files::is_stray(&entry.file_name()))
-        .map(|entry| entry.path())
-        .collect();
+    let entries = rogs_files::entries(folder).map_err(|error| io_error(folder, &error))?;
+    let mut paths: Vec<_> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
     paths.sort();
     for path in paths {
         let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
@@ -90,9 +86,9 @@ fn walk(
             if let Some(other) = files.insert(role.to_owned(), relative) {
                 return Err(wrong(&path, format!("`{other}` is of the same episode and kind")));
             }
-        } else if is_shard(&path) && !name.starts_with('.') && path.is_file() {
+        } else if is_shard(&path) && path.is_file() {
             shards.push(relative());
-        } else if depth < DEEPEST && !name.starts_with('.') && path.is_dir() {
+        } else if depth < DEEPEST && path.is_dir() {
             walk(root, &path, depth + 1, found, shards)?;
         }
     }

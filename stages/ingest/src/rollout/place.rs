@@ -197,11 +197,9 @@ fn is_png(path: &Path) -> bool {
 
 /// The entries of a folder, sorted.
 fn entries(folder: &Path) -> StageResult<Vec<PathBuf>> {
-    let read = std::fs::read_dir(folder).map_err(|error| io_error(folder, &error))?;
+    let read = rogs_files::entries(folder).map_err(|error| io_error(folder, &error))?;
     let mut found: Vec<PathBuf> = read
-        .filter_map(Result::ok)
-        .filter(|entry| !rogs_files::is_stray(&entry.file_name()))
-        .map(|entry| entry.path())
+        .filter_map(|entry| Some(entry.ok()?.path()))
         .take(MAX_ENTRIES)
         .collect();
     found.sort();

@@ -64,7 +64,8 @@ pub struct Counts {
 /// in [`read_pictures`]). Colours are clipped to [0, 1], undefined predictions count as 0; depth counts where the reference
 /// lies in [`DEPTH_RANGE_M`].
 ///
-/// `lpips` computes that distance where weights are at hand.
+/// `lpips` computes that distance where weights are at hand; `units_m` are the metres of one step of depth in the prediction
+/// and in the reference, where they are not what [`read_pictures`] takes.
 ///
 /// # Errors
 /// When something cannot be read or compared, or a reference image holds undefined values.
@@ -73,13 +74,15 @@ pub fn score_paths(
     reference: &Path,
     variant: SsimVariant,
     lpips: Option<Distance<'_>>,
+    units_m: [Option<f64>; 2],
 ) -> Result<FolderScores, FolderError> {
     let Files {
         matched,
         mut only_in_prediction,
         mut only_in_reference,
     } = match_files(prediction, reference)?;
-    let one = |(name, own, other): &(String, PathBuf, PathBuf)| score_files(name, own, other, variant, lpips);
+    let one =
+        |(name, own, other): &(String, PathBuf, PathBuf)| score_files(name, [own, other], variant, lpips, units_m);
     let measured: Vec<Result<FileScores, FolderError>> = matched.par_iter().map(one).collect();
     let mut pairs = Vec::new();
     for measured in measured {
@@ -183,12 +186,13 @@ struct FileScores {
 
 fn score_files(
     name: &str,
-    prediction: &Path,
-    reference: &Path,
+    [prediction, reference]: [&Path; 2],
     variant: SsimVariant,
     lpips: Option<Distance<'_>>,
+    [own_unit_m, other_unit_m]: [Option<f64>; 2],
 ) -> Result<FileScores, FolderError> {
-    let (own, other) = (read_pictures(prediction)?, read_pictures(reference)?);
+    let own = read_pictures(prediction, own_unit_m)?;
+    let other = read_pictures(reference, other_unit_m)?;
     let whole = |part: &str| {
         if part.is_empty() {
             name.to_owned()
@@ -227,7 +231,7 @@ fn image_names(folder: &Path) -> Result<BTreeSet<String>, FolderError> {
         source,
     };
     let mut names = BTreeSet::new();
-    for entry in std::fs::read_dir(folder).map_err(read)? {
+    for entry in rogs_files::entries(folder).map_err(read)? {
         let path = entry.map_err(read)?.path();
         let known = EXTENSIONS.contains(&extension(&path).as_str()) && path.is_file();
         if let Some(name) = path.file_name().filter(|_| known) {

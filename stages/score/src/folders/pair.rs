@@ -1,10 +1,11 @@
 //! Scores of one image or depth map against its reference.
 
+use rogs_geometry::unit_factor;
 use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::error::FolderError;
-use crate::metrics::{MetricError, RgbView, SsimVariant, depth_scores, depth_support, psnr, ssim};
+use crate::metrics::{MetricError, RgbView, SsimVariant, depth_scores, depth_support, median_scale, psnr, ssim};
 use crate::pictures::{Content, Picture};
 
 /// Reference depths that count, metres, both ends excluded (`docs/spec/scoring.md` section 5).
@@ -91,12 +92,10 @@ pub(super) fn score_pair(
             scores.absrel = depth.map(|depth| depth.absrel);
             scores.rmse_m = depth.map(|depth| depth.rmse_m);
             scores.delta1 = depth.map(|depth| depth.delta1);
-            if depth.is_none() {
-                let [near, far] = DEPTH_RANGE_M;
-                scores.notes.push(format!(
-                    "no reference depth lies between {near} and {far} m: nothing is measured (is it in metres?)"
-                ));
-            }
+            scores.notes.extend(match depth {
+                Some(_) => other_unit(predicted, truth, &support),
+                None => Some(nothing_in_range(truth)),
+            });
         }
         (own, _) => {
             let kind = |colours: bool| if colours { "colours" } else { "depth" };
@@ -115,8 +114,49 @@ pub(super) fn score_pair(
     }
     for (side, picture) in [("prediction", own), ("reference", other)] {
         scores.notes.extend(clipped(side, picture));
+        scores.notes.extend(dark(side, picture));
+        scores.notes.extend(picture.note.map(|note| format!("{side}: {note}")));
     }
     Ok(scores)
+}
+
+/// A note on a prediction whose depth is some usual factor off the reference's.
+fn other_unit(predicted: &[f32], truth: &[f32], support: &[bool]) -> Option<String> {
+    let ratio = 1.0 / median_scale(predicted, truth, support);
+    let meaning = unit_factor(ratio)?.meaning;
+    Some(format!(
+        "the predicted depth is {ratio:.4} times that of the reference (median): {meaning}? `--prediction-unit-m` states \
+         its unit"
+    ))
+}
+
+/// A note on a reference without depth in range, with the unit that would bring it there.
+fn nothing_in_range(truth: &[f32]) -> String {
+    let [near, far] = DEPTH_RANGE_M;
+    let mut known: Vec<f32> = (truth.iter().copied())
+        .filter(|depth| depth.is_finite() && *depth > 0.0)
+        .collect();
+    let none = format!("no reference depth lies between {near} and {far} m: nothing is measured");
+    if known.is_empty() {
+        return format!("{none} (no value is above 0)");
+    }
+    let half = known.len() / 2;
+    let (_, &mut median, _) = known.select_nth_unstable_by(half, f32::total_cmp);
+    let meaning = match median / 1000.0 {
+        metres if (near..far).contains(&metres) => "millimetres instead of metres",
+        _ if median < near => "divided by 1000 once too often",
+        _ => "is it in metres",
+    };
+    format!("{none} (their median is {median}: {meaning}? `--reference-unit-m` states their unit)")
+}
+
+/// A note on bytes that are probably colours in 0 to 1, cut to whole numbers.
+fn dark(side: &str, picture: &Picture) -> Option<String> {
+    let Content::Bytes(values) = &picture.content else {
+        return None;
+    };
+    (values.iter().max() == Some(&1))
+        .then(|| format!("the bytes of the {side} are 0 and 1 alone: were these colours in 0 to 1? bytes go to 255"))
 }
 
 /// How many values are not finite, if any.

@@ -252,7 +252,7 @@ fn content(folder: &Path) -> Result<Option<Found>, OutsideError> {
 /// `frame-N.ply` by N.
 fn ply_files(folder: &Path) -> Result<BTreeMap<FrameIndex, PathBuf>, OutsideError> {
     let mut files = BTreeMap::new();
-    let entries = match std::fs::read_dir(folder) {
+    let entries = match rogs_files::entries(folder) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(files),
         other => other.map_err(|error| OutsideError::file(folder, error.to_string()))?,
     };

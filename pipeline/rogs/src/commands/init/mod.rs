@@ -271,10 +271,8 @@ fn files(folder: &Path, fits: &dyn Fn(&Path) -> bool) -> Vec<PathBuf> {
 }
 
 fn entries(folder: &Path) -> impl Iterator<Item = DirEntry> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().take(MOST_ENTRIES);
-    entries
-        .filter_map(Result::ok)
-        .filter(|entry| !rogs_files::is_stray(&entry.file_name()))
+    let entries = rogs_files::entries(folder).into_iter().flatten();
+    entries.filter_map(Result::ok).take(MOST_ENTRIES)
 }
 
 #[cfg(test)]

@@ -115,7 +115,7 @@ pub(crate) fn open(root: &Path, calibration: Option<&Calibration>, choice: &Stat
 
 /// PNG files `0.png`, `1.png`, ... of a folder, of which none may be missing.
 fn count(folder: &Path) -> StageResult<u32> {
-    let entries = std::fs::read_dir(folder).map_err(|error| io_error(folder, &error))?;
+    let entries = rogs_files::entries(folder).map_err(|error| io_error(folder, &error))?;
     let number = |entry: std::io::Result<std::fs::DirEntry>| {
         let name = entry.ok()?.file_name().into_string().ok()?;
         name.strip_suffix(".png")?.parse::<u32>().ok()

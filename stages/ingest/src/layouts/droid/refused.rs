@@ -30,7 +30,7 @@ fn is_records(folder: &Path) -> bool {
 
 /// What lies in a folder and fits, in no order.
 fn below(folder: &Path, fits: impl Fn(&Path) -> bool) -> impl Iterator<Item = std::path::PathBuf> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().take(4096);
+    let entries = rogs_files::entries(folder).into_iter().flatten().take(4096);
     entries
         .filter_map(|entry| Some(entry.ok()?.path()))
         .filter(move |path| fits(path))

@@ -43,7 +43,7 @@ pub(crate) fn is_episode(folder: &Path) -> bool {
 
 /// Name of an episode's metadata file; the first by name where there are several.
 pub(super) fn metadata_name(folder: &Path) -> Option<String> {
-    let names = std::fs::read_dir(folder).ok()?;
+    let names = rogs_files::entries(folder).ok()?;
     let names = names.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
     names.filter(|name| uuid_of(name).is_some()).min()
 }
@@ -104,14 +104,11 @@ impl Here {
     fn list(&self) -> StageResult<(Vec<String>, Vec<String>)> {
         let (mut folders, mut files) = (Vec::new(), Vec::new());
         let io = |error| io_error(&self.path, &error);
-        for entry in std::fs::read_dir(&self.path).map_err(io)? {
+        for entry in rogs_files::entries(&self.path).map_err(io)? {
             let entry = entry.map_err(io)?;
             let Ok(name) = entry.file_name().into_string() else {
                 continue;
             };
-            if name.starts_with('.') {
-                continue;
-            }
             let kind = entry.file_type().map_err(io)?;
             let folder = kind.is_dir() || (kind.is_symlink() && entry.path().is_dir());
             let names = if folder { &mut folders } else { &mut files };

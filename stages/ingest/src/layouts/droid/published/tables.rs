@@ -31,7 +31,7 @@ impl Tables {
 
     /// Names of the files in it.
     pub(super) fn names(&self) -> StageResult<Vec<String>> {
-        let entries = std::fs::read_dir(&self.folder).map_err(|error| io_error(&self.folder, &error))?;
+        let entries = rogs_files::entries(&self.folder).map_err(|error| io_error(&self.folder, &error))?;
         let mut names: Vec<String> = entries
             .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
             .collect();
