@@ -2,7 +2,7 @@
 
 use std::fs::{File, FileType, Metadata, OpenOptions};
 use std::io::{Error as IoError, ErrorKind, Read as _, Write as _};
-use std::os::unix::fs::{FileTypeExt as _, MetadataExt as _, OpenOptionsExt as _};
+use std::os::unix::fs::{FileExt as _, FileTypeExt as _, MetadataExt as _, OpenOptionsExt as _};
 use std::path::{Component, Path};
 
 use crate::error::{Result, io};
@@ -12,18 +12,42 @@ use crate::fault_injection::{self, Operation};
 /// end of a pipe and never reading a device, which may have no end.
 ///
 /// # Errors
-/// The error of the operating system, or [`ErrorKind::InvalidInput`] where something else has the name.
+/// The error of the operating system, [`ErrorKind::InvalidInput`] where something else has the name, or
+/// [`ErrorKind::InvalidData`] where the file only stands for one that was not fetched.
 pub fn open(path: &Path) -> std::io::Result<File> {
     let file = OpenOptions::new()
         .read(true)
         .custom_flags(libc::O_NONBLOCK)
         .open(path)?;
-    let kind = file.metadata()?.file_type();
-    if kind.is_file() {
-        Ok(file)
-    } else {
-        Err(not_a_file(kind))
+    let metadata = file.metadata()?;
+    if !metadata.is_file() {
+        return Err(not_a_file(metadata.file_type()));
     }
+    refuse_stand_in(&file, metadata.len())?;
+    Ok(file)
+}
+
+/// What programs leave in place of files that they keep elsewhere: how it begins, whose it is and how to get the file.
+const STAND_INS: [(&[u8], &str, &str); 2] = [
+    (b"version https://git-lfs.github.com/spec/", "Git LFS", "git lfs pull"),
+    (b"/annex/objects/", "git-annex", "git annex get"),
+];
+
+/// An error for a file that stands for another; they are short.
+fn refuse_stand_in(file: &File, length: u64) -> std::io::Result<()> {
+    const LONGEST: u64 = 1024;
+    if length > LONGEST {
+        return Ok(());
+    }
+    let mut begin = [0; 64];
+    let read = file.read_at(&mut begin, 0)?;
+    let found = STAND_INS
+        .iter()
+        .find(|(beginning, ..)| begin[..read].starts_with(beginning));
+    found.map_or(Ok(()), |(_, of, command)| {
+        let what = format!("it is a pointer of {of}, the file itself was not fetched: `{command}` gets it");
+        Err(IoError::new(ErrorKind::InvalidData, what))
+    })
 }
 
 /// Reads a file, as [`std::fs::read`] does, where [`open`] opens it.
@@ -194,6 +218,33 @@ mod tests {
     use std::os::unix::fs::symlink;
 
     use super::*;
+
+    #[test]
+    fn pointers_to_files_that_were_not_fetched_are_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("video.mp4");
+        for (content, command) in [
+            (
+                "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a214614ab2935c943f9e0ff69d22eadbb8f32b1\nsize 12345\n",
+                Some("git lfs pull"),
+            ),
+            (
+                "/annex/objects/MD5E-s12345--d41d8cd98f00b204e9800998ecf8427e.mp4\n",
+                Some("git annex get"),
+            ),
+            ("version 2\n", None),
+            ("", None),
+        ] {
+            std::fs::write(&path, content).unwrap();
+            let error = open(&path).err();
+            assert_eq!(
+                error.as_ref().map(IoError::kind),
+                command.map(|_| ErrorKind::InvalidData)
+            );
+            let told = error.map(|error| error.to_string()).unwrap_or_default();
+            assert!(told.contains(command.unwrap_or_default()), "{told}");
+        }
+    }
 
     #[test]
     fn what_is_no_file_is_refused_without_waiting() {

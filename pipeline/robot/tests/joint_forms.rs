@@ -180,6 +180,54 @@ fn every_usual_form_has_its_meaning() {
 }
 
 #[test]
+fn degrees_and_millimetres_are_told() {
+    let joint =
+        |kind: &str, inside: &str| robot(&format!(r#"<joint name="k" type="{kind}"><axis xyz="0 0 1"/>{inside}"#));
+    let with_origin = |origin: &str| {
+        joint("continuous", "").replace(
+            r#"<parent link="arm"/><child link="tip"/><origin xyz="0 0 1"/>"#,
+            &format!(r#"<parent link="arm"/><child link="tip"/>{origin}"#),
+        )
+    };
+    for (text, words) in [
+        (
+            joint("revolute", r#"<limit lower="-170" upper="170"/>"#),
+            Some("are these degrees"),
+        ),
+        (
+            joint("revolute", r#"<limit lower="0" upper="90"/>"#),
+            Some("are these degrees"),
+        ),
+        (
+            joint("revolute", r#"<limit lower="-6.2831853" upper="6.2831853"/>"#),
+            None,
+        ),
+        (joint("revolute", r#"<limit lower="-1e16" upper="1e16"/>"#), None),
+        (
+            joint("prismatic", r#"<limit lower="0" upper="40"/>"#),
+            Some("are these millimetres"),
+        ),
+        (joint("prismatic", r#"<limit lower="0" upper="0.04"/>"#), None),
+        (
+            with_origin(r#"<origin xyz="0 0 1" rpy="0 0 90"/>"#),
+            Some("are these degrees"),
+        ),
+        (
+            with_origin(r#"<origin xyz="0 0 1" rpy="-180 0 0"/>"#),
+            Some("are these degrees"),
+        ),
+        (with_origin(r#"<origin xyz="0 0 1" rpy="0 0 6.28319"/>"#), None),
+        (with_origin(r#"<origin xyz="0 0 333"/>"#), Some("are these millimetres")),
+    ] {
+        let notes = load(&text).unwrap().notes;
+        match words {
+            None => assert!(notes.is_empty(), "{text}: {notes:?}"),
+            Some(words) => assert!(notes.len() == 1 && notes[0].contains(words), "{text}: {notes:?}"),
+        }
+    }
+}
+
+#[test]
 fn a_joint_that_mimics_one_that_does_not_move_stands_at_its_offset() {
     let text = robot(
         r#"<joint name="k" type="revolute"><axis xyz="0 0 1"/><mimic joint="lock" multiplier="3" offset="0.25"/>"#,

@@ -95,7 +95,7 @@ fn meshes_out_of_proportion_are_told_with_the_likely_unit() {
         ("", None),
         (r#"scale="0.5 0.5 0.5""#, None),
         (r#"scale="1000 1000 1000""#, Some("look like millimetres")),
-        (r#"scale="0.001 0.001 0.001""#, Some("1000 times too small")),
+        (r#"scale="0.001 0.001 0.001""#, Some("100 to 1000 times too small")),
     ] {
         let scene = MeshScene::of_robot(&robot(folder.path(), scale), &RobotSpec::default()).unwrap();
         match words {
@@ -126,4 +126,91 @@ fn what_a_mesh_file_says_of_its_axes_reaches_the_scene_once() {
     let scene = MeshScene::of_robot(&model, &RobotSpec::default()).unwrap();
     assert_eq!(scene.notes.len(), 1, "{:?}", scene.notes);
     assert!(scene.notes[0].contains("`m.dae`") && scene.notes[0].contains("Y_UP"));
+}
+
+#[test]
+fn shapes_without_a_file_have_sizes_too() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("m.stl"), stl()).unwrap();
+    robot(folder.path(), "");
+    let path = folder.path().join("robot.urdf");
+    let text = std::fs::read_to_string(&path).unwrap();
+    for (shape, told) in [
+        (r#"<box size="0.1 0.1 0.5"/>"#, None),
+        (r#"<box size="100 100 500"/>"#, Some("millimetres")),
+        (r#"<cylinder radius="40" length="300"/>"#, Some("millimetres")),
+        (r#"<sphere radius="0.0001"/>"#, Some("too small")),
+    ] {
+        std::fs::write(&path, text.replace(r#"<mesh filename="m.stl" />"#, shape)).unwrap();
+        let model = RobotModel::load(&path).unwrap();
+        let scene = MeshScene::of_robot(&model, &RobotSpec::default()).unwrap();
+        assert_eq!(
+            scene.notes.len(),
+            usize::from(told.is_some()),
+            "{shape}: {:?}",
+            scene.notes
+        );
+        let fits = |note: &String| note.contains("a shape of link `arm`") && note.contains(told.unwrap_or_default());
+        assert!(scene.notes.iter().all(fits), "{shape}: {:?}", scene.notes);
+    }
+}
+
+#[test]
+fn capitals_do_not_matter() {
+    let expected = read("stl", &stl(), MeshAxes::Viewers).mesh;
+    assert_eq!(read("stl", &stl().to_uppercase(), MeshAxes::Viewers).mesh, expected);
+    let lower = dae("<up_axis> y_up </up_axis>", 1.0);
+    let file = read("dae", &lower, MeshAxes::Viewers);
+    assert!(
+        near(&file.mesh, CORNERS) && file.notes[0].contains("Y_UP"),
+        "{:?}",
+        file.notes
+    );
+}
+
+/// The triangle as glTF, its numbers `corners`, below a node with this transform.
+fn gltf(corners: [[f32; 3]; 3], node: &str, scenes: &str) -> String {
+    use base64::Engine as _;
+    let bytes: Vec<u8> = corners
+        .as_flattened()
+        .iter()
+        .flat_map(|value| value.to_le_bytes())
+        .collect();
+    let data = base64::engine::general_purpose::STANDARD.encode(&bytes);
+    format!(
+        r#"{{"asset":{{"version":"2.0"}},{scenes}"nodes":[{{"children":[1]}},{{"mesh":0{node}}}],
+        "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}],
+        "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[1,1,1]}}],
+        "bufferViews":[{{"buffer":0,"byteLength":36}}],
+        "buffers":[{{"byteLength":36,"uri":"data:application/octet-stream;base64,{data}"}}]}}"#
+    )
+}
+
+#[test]
+fn gltf_is_taken_as_it_lies_after_its_nodes() {
+    let y_up = CORNERS.map(|[x, y, z]| [x, z, -y]);
+    let scene = r#""scene":0,"scenes":[{"nodes":[0]}],"#;
+    for (corners, node, scenes) in [
+        (CORNERS, "", scene),
+        // As exporters turn a mesh that is y up: by a rotation or a matrix of its node.
+        (y_up, r#","rotation":[0.70710678,0,0,0.70710678]"#, scene),
+        (y_up, r#","matrix":[1,0,0,0, 0,0,1,0, 0,-1,0,0, 0,0,0,1]"#, scene),
+        (
+            CORNERS.map(|corner| corner.map(|value| value * 1000.0)),
+            r#","scale":[0.001,0.001,0.001]"#,
+            scene,
+        ),
+        // Scenes without a default, and a library of parts without any.
+        (CORNERS, "", r#""scenes":[{"nodes":[0]}],"#),
+        (CORNERS, "", ""),
+    ] {
+        let text = gltf(corners, node, scenes);
+        let file = read("gltf", &text, MeshAxes::Viewers);
+        assert!(near(&file.mesh, CORNERS), "{node} {scenes}: {:?}", file.mesh.positions);
+        let turned = read("gltf", &text, MeshAxes::Standard);
+        assert!(
+            near(&turned.mesh, CORNERS.map(|[x, y, z]| [x, -z, y])),
+            "{node} {scenes}"
+        );
+    }
 }

@@ -71,19 +71,42 @@ pub(crate) fn json_items<T: Serialize>(values: impl Iterator<Item = anyhow::Resu
 where
     Items<T>: Format,
 {
-    let mut out = std::io::BufWriter::new(std::io::stdout().lock());
-    let mut write = |text: &str| ended(out.write_all(text.as_bytes()));
+    let mut out = Indented(std::io::BufWriter::new(std::io::stdout().lock()));
     let head = format!("{{\n  \"format\": \"{}\",\n  \"items\": [", Items::<T>::format());
     let (mut separator, mut end) = (format!("{head}\n    "), format!("{head}]\n}}\n"));
     for value in values {
-        let value = serde_json::to_string_pretty(&value?)?.replace('\n', "\n    ");
-        if !write(&separator)? || !write(&shown::json(&value))? {
+        let value = value?;
+        let written = out.0.write_all(separator.as_bytes());
+        let written =
+            written.and_then(|()| serde_json::to_writer_pretty(&mut out, &value).map_err(std::io::Error::from));
+        if !ended(written)? {
             return Ok(());
         }
         (separator, end) = (",\n    ".to_owned(), "\n  ]\n}\n".to_owned());
     }
-    write(&end)?;
-    ended(out.flush()).map(|_| ())
+    ended(out.0.write_all(end.as_bytes()).and_then(|()| out.flush())).map(|_| ())
+}
+
+/// Writes JSON as [`shown::json`] has it, two levels deep. The pieces that the serialiser writes are whole characters.
+struct Indented<W>(W);
+
+impl<W: std::io::Write> std::io::Write for Indented<W> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        // Numbers and most names pass at once.
+        let is_plain = bytes.iter().all(|byte| (b' '..=b'~').contains(byte));
+        match std::str::from_utf8(bytes) {
+            Ok(text) if !is_plain => {
+                let shown = shown::json(text).replace('\n', "\n    ");
+                self.0.write_all(shown.as_bytes())?;
+            }
+            _ => self.0.write_all(bytes)?,
+        }
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.0.flush()
+    }
 }
 
 /// Prints a JSON schema, which says itself what it is.

@@ -29,7 +29,15 @@ pub(crate) fn read_text(path: &Path, limit: u64) -> StageResult<String> {
 /// An error of the operating system about a file.
 pub(crate) fn io_error(path: &Path, error: &std::io::Error) -> StageError {
     match error.kind() {
-        std::io::ErrorKind::NotFound => wrong(path, "the file is missing"),
+        std::io::ErrorKind::NotFound => match std::fs::read_link(path) {
+            // A cache or git-annex whose content was not fetched, or a disk that is not there.
+            Ok(target) => wrong(
+                path,
+                format!("it is a link to `{}`, and nothing is there", target.display()),
+            )
+            .with_hint("fetch the content (`git annex get`, the hub's client), or mount the disk"),
+            Err(_) => wrong(path, "the file is missing"),
+        },
         // It is not UTF-8, or no file at all.
         std::io::ErrorKind::InvalidData | std::io::ErrorKind::InvalidInput => wrong(path, error),
         _ => StageError::io(format!("reading `{}`: {error}", path.display())),
@@ -79,6 +87,22 @@ mod tests {
         let by = Path::new("episode.json");
         assert_eq!(inside(folder, "a/b.png", by).unwrap(), Path::new("/data/a/b.png"));
         assert_eq!(inside(folder, "./a/../b.png", by).unwrap(), Path::new("/data/b.png"));
+        let folder = tempfile::tempdir().unwrap();
+        let link = folder.path().join("a.mp4");
+        std::os::unix::fs::symlink("../.git/annex/objects/x/y.mp4", &link).unwrap();
+        let missing = std::io::Error::from(std::io::ErrorKind::NotFound);
+        let told = io_error(&link, &missing);
+        assert!(
+            told.message.contains("a link to `../.git/annex/objects/x/y.mp4`"),
+            "{told}"
+        );
+        assert!(told.hint.is_some());
+        assert!(
+            io_error(&folder.path().join("b"), &missing)
+                .message
+                .contains("is missing")
+        );
+        let folder = Path::new("/data");
         for path in ["../x", "/etc/passwd", "a/../../x", "", ".", "a/.."] {
             assert!(inside(folder, path, by).is_err(), "{path}");
         }

@@ -70,7 +70,7 @@ fn asset(root: Node<'_, '_>) -> Parsed<(f64, Up)> {
         .and_then(|asset| child(asset, "up_axis"))
         .and_then(|axis| axis.text())
         .map(str::trim);
-    let up = match axis {
+    let up = match axis.map(str::to_ascii_uppercase).as_deref() {
         // The standard's default, written by nobody.
         None | Some("") => Up::Unsaid,
         Some("Z_UP") => Up::Z,

@@ -1,5 +1,7 @@
 //! glTF 2.0 (`.gltf`, `.glb`): triangles of the scene after the node transforms.
 
+use std::collections::BTreeSet;
+
 use base64::Engine as _;
 use glam::{DAffine3, DMat4, DVec3};
 use gltf::accessor::{DataType, Dimensions};
@@ -44,12 +46,19 @@ pub(super) fn parse(bytes: &[u8], axes: MeshAxes, external: &dyn Fn(&str) -> Par
         instances: 0,
     };
     let scene = file.default_scene().or_else(|| file.scenes().next());
-    let Some(scene) = scene else {
-        return Err("it has no scene".into());
+    let nodes: Vec<gltf::Node<'_>> = match scene {
+        Some(scene) => scene.nodes().collect(),
+        // A library of parts: every node that is nobody's child.
+        None => {
+            let children: BTreeSet<usize> = (file.nodes().flat_map(|node| node.children().collect::<Vec<_>>()))
+                .map(|child| child.index())
+                .collect();
+            file.nodes().filter(|node| !children.contains(&node.index())).collect()
+        }
     };
     // The standard's y up is said by no file, so there is nothing to note.
     let (turn, _) = axes::turn(axes, Up::Unsaid);
-    for node in scene.nodes() {
+    for node in nodes {
         reader.node(&node, DAffine3::from_mat3(turn), 0)?;
     }
     Ok(reader.mesh)

@@ -11,7 +11,8 @@ pub(super) fn parse(bytes: &[u8]) -> Parsed<Mesh> {
         .map(|field| u32::from_le_bytes([field[0], field[1], field[2], field[3]]) as usize);
     let whole = declared.is_some_and(|count| bytes.len() == HEADER + RECORD * count);
     // Binary files may begin with `solid` too; only the size tells.
-    if !whole && bytes.trim_ascii_start().starts_with(b"solid") {
+    let begins = bytes.trim_ascii_start().get(..5);
+    if !whole && begins.is_some_and(|begins| begins.eq_ignore_ascii_case(b"solid")) {
         return parse_text(bytes);
     }
     let Some(count) = declared else {
@@ -49,7 +50,7 @@ fn parse_text(bytes: &[u8]) -> Parsed<Mesh> {
     let mut corners = 0u32;
     for (number, line) in text.lines().enumerate() {
         let mut words = line.split_ascii_whitespace();
-        match words.next() {
+        match words.next().map(str::to_ascii_lowercase).as_deref() {
             Some("vertex") => {
                 let mut position = [0.0f32; 3];
                 for value in &mut position {

@@ -15,13 +15,8 @@ pub(crate) fn read_capped(path: &Path, limit: u64) -> Result<Vec<u8>> {
         path: path.to_owned(),
         source,
     };
-    // A pipe would be waited for when it is opened.
-    let metadata = std::fs::metadata(path).map_err(failed)?;
-    if !metadata.is_file() {
-        return Err(failed(std::io::Error::other("it is no plain file")));
-    }
-    let file = std::fs::File::open(path).map_err(failed)?;
-    let length = metadata.len();
+    let file = rogs_files::open(path).map_err(failed)?;
+    let length = file.metadata().map_err(failed)?.len();
     let too_large = || Error::Reference {
         reference: path.display().to_string(),
         what: format!("it is larger than the limit of {} MiB", limit >> 20),
@@ -54,7 +49,7 @@ mod tests {
             read_capped(folder.path(), 2000)
                 .unwrap_err()
                 .chain()
-                .contains("no plain file")
+                .contains("it is a folder")
         );
     }
 }

@@ -18,6 +18,11 @@ pub(super) const LIMITS: XmlLimits = XmlLimits {
     elements: 100_000,
 };
 
+/// No part of a robot arm lies further from the next, metres.
+const FAR_M: f64 = 20.0;
+/// Limits of rotation that are probably degrees, radians: joints turn less far, and "without end" is written larger.
+const DEGREES: std::ops::RangeInclusive<f64> = 15.0..=720.0;
+
 /// A robot as its file describes it.
 #[derive(Debug)]
 pub(super) struct Description {
@@ -255,6 +260,19 @@ fn origin(node: Node<'_, '_>, owner: &str, notes: &mut Notes) -> Parsed<Pose<Lin
     let place = format!("line {}, {owner}", line(origin));
     let xyz = numbers(origin, "xyz", &place)?.unwrap_or([0.0; 3]);
     let rpy = numbers(origin, "rpy", &place)?;
+    let beyond = |angle: &f64| angle.abs() > 2.0 * std::f64::consts::PI + 0.01;
+    if rpy.is_some_and(|angles: [f64; 3]| angles.iter().any(beyond)) {
+        notes.add(
+            &place,
+            "an angle of an `rpy` is beyond a full turn: are these degrees? URDF takes radians",
+        );
+    }
+    if xyz.iter().any(|length: &f64| length.abs() > FAR_M) {
+        notes.add(
+            &place,
+            "an `xyz` is more than 20 m: are these millimetres? URDF takes metres",
+        );
+    }
     let Some(quaternion) = numbers::<4>(origin, "quat_xyzw", &place)? else {
         return Ok(Pose::from_xyz_euler(xyz, rpy.unwrap_or([0.0; 3])));
     };
@@ -320,7 +338,7 @@ fn joint(node: Node<'_, '_>, notes: &mut Notes) -> Parsed<JointElement> {
         parent_from_origin: origin(node, &owner, notes)?,
         axis,
         limit: part("limit", notes)
-            .map(|limit| read_limit(limit, kind, &place))
+            .map(|limit| read_limit(limit, kind, &place, notes))
             .transpose()?,
         mimic: part("mimic", notes)
             .map(|mimic| read_mimic(mimic, &place))
@@ -331,7 +349,7 @@ fn joint(node: Node<'_, '_>, notes: &mut Notes) -> Parsed<JointElement> {
 }
 
 /// The limits of a joint that has a use for them; an infinite one is none.
-fn read_limit(node: Node<'_, '_>, kind: JointType, place: &str) -> Parsed<Limit> {
+fn read_limit(node: Node<'_, '_>, kind: JointType, place: &str, notes: &mut Notes) -> Parsed<Limit> {
     let mut limit = Limit {
         lower: None,
         upper: None,
@@ -347,6 +365,20 @@ fn read_limit(node: Node<'_, '_>, kind: JointType, place: &str) -> Parsed<Limit>
             Ok(number) if number.is_infinite() => Some(number),
             _ => numbers::<1>(node, attribute, place)?.map(|[number]| number),
         };
+    }
+    let farthest = [limit.lower, limit.upper].into_iter().flatten().map(f64::abs);
+    let farthest = farthest.filter(|limit| limit.is_finite()).fold(0.0, f64::max);
+    if kind == JointType::Revolute && DEGREES.contains(&farthest) {
+        notes.add(
+            place,
+            "its limits are several turns: are these degrees? URDF takes radians",
+        );
+    }
+    if kind == JointType::Prismatic && farthest > FAR_M {
+        notes.add(
+            place,
+            "its limits are more than 20 m: are these millimetres? URDF takes metres",
+        );
     }
     Ok(limit)
 }

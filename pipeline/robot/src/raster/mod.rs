@@ -114,7 +114,9 @@ impl MeshScene {
                     scene
                         .notes
                         .extend(notes.filter(|note| !scene.notes.contains(note)).collect::<Vec<_>>());
-                    sizes.add(reference, &file.mesh);
+                    sizes.add(format!("mesh `{reference}`"), true, &file.mesh);
+                } else {
+                    sizes.add(format!("a shape of link `{}`", link.name), false, &file.mesh);
                 }
                 mesh.append(&file.mesh);
             }
