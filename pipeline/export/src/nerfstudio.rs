@@ -149,7 +149,7 @@ pub fn read_json(path: &Path) -> Result<serde_json::Value> {
         return Err(wrong(format!("{length} bytes are more than a camera file has")));
     }
     let text = rogs_files::read_to_string(path).map_err(io)?;
-    serde_json::from_str(&text).map_err(|error| wrong(format!("not a camera file: {error}")))
+    rogs_schemas::json::read(&text).map_err(|error| wrong(format!("not a camera file: {error}")))
 }
 
 #[cfg(test)]

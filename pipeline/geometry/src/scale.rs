@@ -1,10 +1,11 @@
 //! Factors by which numbers of the wrong unit are off.
 
 /// Ratios that mean a unit, the largest first, and what they mean when measured numbers are so many times too large.
-const FACTORS: [(f64, &str); 5] = [
+const FACTORS: [(f64, &str); 6] = [
     (1000.0, "millimetres instead of metres"),
     (100.0, "centimetres instead of metres"),
     (180.0 / std::f64::consts::PI, "degrees instead of radians"),
+    (1.0 / 0.0254, "inches instead of metres"),
     (10.0, "ten times the unit, as 10000 steps a metre read as millimetres"),
     (
         5.0,
@@ -36,6 +37,7 @@ pub fn unit_factor(ratio: f64) -> Option<UnitFactor> {
             let meaning = match factor {
                 1000.0 => "divided by 1000 once too often",
                 100.0 => "divided by 100 once too often",
+                39.0..40.0 => "converted from inches once too often",
                 10.0 => "a tenth of the unit",
                 5.0 => "a fifth of the unit",
                 _ => "converted from degrees to radians once too often",
@@ -60,6 +62,7 @@ mod tests {
             (998.0, "millimetres"),
             (104.0, "centimetres"),
             (57.0, "degrees"),
+            (39.4, "inches"),
             (9.8, "10000"),
             (5.1, "5000"),
             (0.001, "1000 once too often"),

@@ -8,6 +8,7 @@ use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera, Dep
 use rogs_schemas::{CameraIndex, ClipId, EpisodeFrame, FrameIndex, RigidPose};
 use rogs_worker::{StageError, StageResult};
 
+use crate::checks;
 use crate::params::{Observations, Params, QueryChoice, QueryPlanName};
 use crate::resize::Mapping;
 use crate::rollout::{self, Wanted};
@@ -50,6 +51,8 @@ pub(crate) fn assemble(
     clip_id: ClipId,
 ) -> StageResult<(Clip, Vec<String>)> {
     let mut warnings = std::mem::take(&mut source.warnings);
+    let range_is_said = params.states.gripper_range.is_some() || params.states.gripper.as_deref() == Some("");
+    warnings.extend(checks::odd_states(&source.states, range_is_said));
     let interval = interval(&source, params)?;
     let chosen = choose_cameras(&mut source, params)?;
     warnings.extend(wrist_not_first(&source.cameras));
@@ -228,6 +231,8 @@ fn make_camera(
     let mapping = Mapping::new(size, (params.width, params.height), params.fit);
     let area = params.width as usize * params.height as usize;
     let mut warnings = Vec::new();
+    let odd = checks::odd_intrinsics(camera.intrinsics, size);
+    warnings.extend(odd.map(|what| format!("camera `{}`: {what}", camera.id)));
     let is_observed = camera.role == CameraRole::Source && params.observations == Observations::Recorded;
     if is_observed && camera.images.is_none() {
         return Err(StageError::bad_input(format!(

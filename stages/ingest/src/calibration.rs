@@ -62,7 +62,7 @@ impl Calibration {
     /// Reads a file.
     pub(crate) fn read(path: &Path) -> StageResult<Self> {
         let text = read_text(path, MAX_FILE)?;
-        let file: File = serde_json::from_str(&text).map_err(|error| {
+        let file: File = rogs_schemas::json::read(&text).map_err(|error| {
             wrong(path, format!("not a calibration file: {error}")).with_hint("docs/calibration-format.md shows one")
         })?;
         let of_entries = file

@@ -26,6 +26,14 @@ pub(crate) fn rigid_pose(written: &WrittenPose, what: &str, path: &Path) -> Stag
     }
     let pose: Pose<Base, Camera> =
         Pose::from_written(written).map_err(|error| wrong(path, format!("{what} is not rigid: {error}")))?;
+    if let WrittenPose::Euler([_, _, _, angles @ ..]) = written
+        && angles
+            .iter()
+            .any(|angle| angle.abs() > 2.0 * std::f64::consts::PI + 1e-3)
+    {
+        return Err(wrong(path, format!("{what} has the angles {angles:?}"))
+            .with_hint("roll, pitch and yaw are radians; were these degrees?"));
+    }
     let distance = pose.translation.length();
     if distance > FAR {
         let unit = if distance > CENTIMETRES {
@@ -102,6 +110,54 @@ pub(crate) fn states(states: &States, row_name: &str, path: &Path) -> StageResul
     Ok(())
 }
 
+/// What is odd about intrinsics of images of this size, though a camera may have them.
+pub(crate) fn odd_intrinsics(Intrinsics { fx, cx, cy, .. }: Intrinsics, size: (u32, u32)) -> Option<String> {
+    /// The principal point of a lens lies near the middle; by this share of half the image it may be off.
+    const OFF: f64 = 0.3;
+    let middle = (f64::from(size.0) / 2.0, f64::from(size.1) / 2.0);
+    if cx <= 1.5 && cy <= 1.5 && fx < 4.0 && middle.0 > 4.0 {
+        return Some("its intrinsics are a few pixels: were they divided by the image's size?".to_owned());
+    }
+    let off = (cx / middle.0 - 1.0).abs().max((cy / middle.1 - 1.0).abs());
+    (off > OFF).then(|| {
+        format!(
+            "its principal point ({cx:.1}, {cy:.1}) lies far from the middle of its {}x{} images: do its intrinsics belong \
+             to images of another size?",
+            size.0, size.1
+        )
+    })
+}
+
+/// What is odd about states that are possible: values of another unit that stay within bounds.
+pub(crate) fn odd_states(states: &States, gripper_range_is_said: bool) -> Vec<String> {
+    /// Widest gap of a gripper's fingers in metres.
+    const WIDEST_M: f64 = 0.11;
+    /// Half a turn, converted to radians twice.
+    const HALF_A_TURN: f64 = std::f64::consts::PI * std::f64::consts::PI / 180.0;
+    /// Fewer joints may stand at 0.
+    const MANY: usize = 4;
+    let mut odd = Vec::new();
+    let range = |values: &[f64]| {
+        let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+        (least, values.iter().copied().fold(f64::NEG_INFINITY, f64::max))
+    };
+    let (least, most) = range(&states.gripper);
+    if !gripper_range_is_said && least >= 0.0 && most <= WIDEST_M && most - least > 0.01 {
+        odd.push(format!(
+            "the gripper goes from {least:.3} to {most:.3}, of 0 (open) to 1 (closed): is it the gap of the fingers in \
+             metres? `gripper_range = [{most:.2}, 0]` under [ingest.states]"
+        ));
+    }
+    let (least, most) = range(&states.positions);
+    let farthest = most.max(-least);
+    if states.joint_names.len() >= MANY && (1e-4..HALF_A_TURN).contains(&farthest) {
+        odd.push(format!(
+            "no joint is further than {farthest:.4} rad from 0: were the positions converted from degrees twice?"
+        ));
+    }
+    odd
+}
+
 /// Ascending times in seconds that step as the frame rate says; gaps warn, since frames are taken as even in time.
 pub(crate) fn times(times: &[f64], fps: f64, path: &Path) -> StageResult<Option<String>> {
     /// The usual step may differ from the frame rate's by this share: recorders do not keep time exactly.
@@ -117,11 +173,15 @@ pub(crate) fn times(times: &[f64], fps: f64, path: &Path) -> StageResult<Option<
     let ratio = usual / expected;
     if (ratio - 1.0).abs() > TOLERANCE {
         let near = |factor: f64| (ratio / factor - 1.0).abs() <= TOLERANCE;
-        let hint = match (near(1e3), near(1e6), near(1e9)) {
-            (true, _, _) => "times are seconds; were these milliseconds?",
-            (_, true, _) => "times are seconds; were these microseconds?",
-            (_, _, true) => "times are seconds; were these nanoseconds?",
-            _ => "correct `fps` or the times",
+        let hint = match () {
+            () if near(1e3) => "times are seconds; were these milliseconds?",
+            () if near(1e6) => "times are seconds; were these microseconds?",
+            () if near(1e9) => "times are seconds; were these nanoseconds?",
+            () if (usual - 1.0).abs() < 1e-6 => "times are seconds; were these numbers of frames?",
+            () if (usual / fps - 1.0).abs() <= TOLERANCE => {
+                "`fps` is frames a second; was this the seconds of a frame?"
+            }
+            () => "correct `fps` or the times",
         };
         let text = format!("the times step by {usual}, but {fps} frames a second step by {expected:.4} s");
         return Err(wrong(path, text).with_hint(hint));
@@ -198,6 +258,47 @@ mod tests {
     }
 
     #[test]
+    fn poses_of_other_units_name_the_unit() {
+        let path = Path::new("episode.json");
+        let at = |metres: f64, unit: f64| {
+            let pose = WrittenPose::Euler([metres * unit, 0.0, 0.0, 0.0, 0.0, 1.5]);
+            rigid_pose(&pose, "pose", path).unwrap_err().hint.unwrap()
+        };
+        assert!(at(0.9, 1000.0).contains("millimetres?"));
+        assert!(at(0.9, 100.0).contains("these centimetres?"));
+        assert!(at(0.25, 1000.0).contains("millimetres or centimetres"));
+        let degrees = WrittenPose::Euler([0.4, 0.0, 0.5, 180.0, 0.0, 90.0]);
+        let error = rigid_pose(&degrees, "pose of `ext1`", path).unwrap_err();
+        assert!(error.message.contains("pose of `ext1`") && error.hint.unwrap().contains("degrees"));
+        let turned = WrittenPose::Euler([0.4, 0.0, 0.5, -3.2, 0.0, 6.2]);
+        assert!(rigid_pose(&turned, "pose", path).is_ok());
+    }
+
+    #[test]
+    fn possible_numbers_of_another_unit_are_odd() {
+        let size = (56, 42);
+        let camera = |fx: f64, cx: f64, cy: f64| odd_intrinsics(Intrinsics { fx, fy: fx, cx, cy }, size);
+        assert_eq!(camera(34.0, 27.9, 21.3), None);
+        assert_eq!(camera(34.0, 33.0, 17.0), None);
+        assert!(camera(17.0, 14.0, 10.6).unwrap().contains("another size"));
+        assert!(camera(34.0, 27.9, 41.0).unwrap().contains("another size"));
+        assert!(camera(0.6, 0.5, 0.5).unwrap().contains("divided by the image's size"));
+        let states = |scale: f64, gripper: [f64; 2]| States {
+            joint_names: ["a", "b", "c", "d"].map(str::to_owned).to_vec(),
+            positions: [0.3, -1.2, 0.5, 2.0].map(|value: f64| value * scale).to_vec(),
+            gripper: gripper.to_vec(),
+        };
+        let odd = |states: &States| odd_states(states, false);
+        assert!(odd(&states(1.0, [0.0, 1.0])).is_empty());
+        assert!(odd(&states(1.0, [0.0, 0.0])).is_empty(), "a gripper that does not move");
+        assert!(odd(&states(0.0, [0.0, 1.0])).is_empty(), "a robot that stands at 0");
+        let metres = states(1.0, [0.08, 0.01]);
+        assert!(odd(&metres)[0].contains("gripper_range = [0.08, 0]"));
+        assert!(odd_states(&metres, true).is_empty());
+        assert!(odd(&states(1f64.to_radians(), [0.0, 1.0]))[0].contains("degrees twice"));
+    }
+
+    #[test]
     fn states_name_the_row() {
         let good = States {
             joint_names: vec!["a".into(), "b".into()],
@@ -237,11 +338,14 @@ mod tests {
             (66_667.0, "microseconds"),
             (66_666_667.0, "nanoseconds"),
             (0.1, "correct `fps`"),
+            (1.0, "numbers of frames"),
         ] {
             let error = times(&every(step), 15.0, path).unwrap_err();
             assert!(error.message.contains("the times step by"), "{error}");
             assert!(error.hint.as_deref().unwrap().contains(hint), "{error:?}");
         }
+        let error = times(&every(1.0 / 15.0), 1.0 / 15.0, path).unwrap_err();
+        assert!(error.hint.unwrap().contains("the seconds of a frame"));
         let mut gap = every(1.0 / 15.0);
         gap.remove(7);
         let told = times(&gap, 15.0, path).unwrap().unwrap();

@@ -13,6 +13,9 @@ use crate::source::SourceDepth;
 /// The channel of depth in OpenEXR files, as the format's own description names it.
 const DEPTH_CHANNEL: &str = "Z";
 
+/// Beyond this begins no range of depths of a robot's table, metres.
+const NEAREST_M: f32 = 20.0;
+
 impl SourceDepth {
     /// Hands the depth maps of these episode frames to `take` in order: metres, NaN where unknown. `[h, w]`, of the
     /// images' size (width, height), or of [`CachedDepth::size`](crate::source::CachedDepth::size).
@@ -23,6 +26,10 @@ impl SourceDepth {
         (width, height): (u32, u32),
         mut take: impl FnMut(&[f32]),
     ) -> StageResult<()> {
+        if self.range_m[0] >= NEAREST_M {
+            let what = format!("its `range_m` begins at {} m", self.range_m[0]);
+            return Err(wrong(&self.path, what).with_hint("`range_m` is metres; were these millimetres?"));
+        }
         if let Some(cached) = &self.cached {
             return read_cached(&self.path, cached, (first, step, count), take);
         }
@@ -100,11 +107,25 @@ impl SourceDepth {
         }
     }
 
-    /// A `.npy` file of depths: of this shape, perhaps with a last axis of 1; floats, or integers whose unit is said.
+    /// A `.npy` file of depths: of this shape, perhaps with further axes of 1; floats, or integers whose unit is said.
     fn open(&self, path: &Path, shape: &[usize]) -> StageResult<NpyFile> {
         let array = NpyFile::open(path).map_err(unreadable)?;
-        if array.shape().strip_suffix(&[1]) != Some(shape) {
-            array.expect_shape(shape).map_err(unreadable)?;
+        let long = |shape: &[usize]| shape.iter().copied().filter(|&length| length != 1).collect::<Vec<_>>();
+        let (own, expected) = (long(array.shape()), long(shape));
+        // The first axis stays that of the frames.
+        if own != expected || (shape.len() == 3 && array.shape().first() != shape.first()) {
+            let sorted = |mut lengths: Vec<usize>| {
+                lengths.sort_unstable();
+                lengths
+            };
+            let turned = sorted(own) == sorted(expected);
+            return Err(match array.expect_shape(shape).map_err(unreadable) {
+                Err(error) if turned => {
+                    error.with_hint("its axes stand in another order; `numpy.transpose` turns them")
+                }
+                Err(error) => error,
+                Ok(()) => wrong(path, "its axes are not those of depth"),
+            });
         }
         let is_float = matches!(array.dtype(), Dtype::F16 | Dtype::F32 | Dtype::F64);
         if !is_float && self.unit_m.is_none() {

@@ -21,9 +21,20 @@ pub(crate) fn read_text(path: &Path, limit: u64) -> StageResult<String> {
             format!("{length} bytes are more than the {limit} that such a file may have"),
         ));
     }
-    let mut text = String::new();
-    let read = file.take(limit).read_to_string(&mut text);
-    read.map(|_| text).map_err(|error| io_error(path, &error))
+    let mut bytes = Vec::new();
+    let read = file.take(limit).read_to_end(&mut bytes);
+    read.map_err(|error| io_error(path, &error))?;
+    String::from_utf8(bytes).map_err(|error| {
+        let is_utf16 = [[0xff, 0xfe], [0xfe, 0xff]]
+            .iter()
+            .any(|mark| error.as_bytes().starts_with(mark));
+        let what = if is_utf16 {
+            "it is UTF-16 text"
+        } else {
+            "it is no UTF-8 text"
+        };
+        wrong(path, what).with_hint("save it as UTF-8")
+    })
 }
 
 /// An error of the operating system about a file.

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 
-use image::ColorType;
+use image::{ColorType, DynamicImage};
 use rogs_arrays::Png;
 use rogs_worker::StageResult;
 
@@ -188,20 +188,46 @@ pub(crate) fn numbered(index: u32, extension: &str) -> String {
 /// A folder must hold exactly the frames of the episode.
 fn check_folder(folder: &Path, frame_count: u32) -> StageResult<()> {
     let entries = rogs_files::entries(folder).map_err(|error| io_error(folder, &error))?;
-    let is_png = |entry: &std::fs::DirEntry| entry.path().extension().is_some_and(|extension| extension == "png");
-    let found = entries.filter_map(Result::ok).filter(is_png);
-    let found: BTreeSet<OsString> = found.map(|entry| entry.file_name()).collect();
-    let mut names = (0..frame_count).map(|frame| format!("{frame:06}.png"));
-    let missing = names.find(|name| !found.contains(OsStr::new(name)));
-    if found.len() != frame_count as usize || missing.is_some() {
-        let missing = missing.map_or_else(String::new, |name| format!("; `{name}` is missing"));
-        let text = format!(
-            "it has {} PNG files, the episode {frame_count} frames{missing}",
-            found.len()
-        );
-        return Err(wrong(folder, text));
+    let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+    let (mut found, mut others) = (0, Vec::new());
+    for name in names {
+        let number = name.strip_suffix(".png").and_then(|number| number.parse::<u32>().ok());
+        let is_frame = number.is_some_and(|number| number < frame_count && numbered(number, "png") == name);
+        found += u32::from(is_frame || name.ends_with(".png"));
+        if !is_frame && is_image(&name) {
+            others.push(name);
+        }
     }
-    Ok(())
+    if found == frame_count && others.iter().all(|name| !name.ends_with(".png")) {
+        return Ok(());
+    }
+    others.sort();
+    let what = if found == frame_count {
+        format!(
+            "its frames are not named {} to {}",
+            numbered(0, "png"),
+            numbered(frame_count - 1, "png")
+        )
+    } else {
+        format!("it has {found} PNG files, the episode {frame_count} frames")
+    };
+    let error = wrong(folder, what);
+    Err(match (others.first(), others.last()) {
+        (Some(first), Some(last)) => error.with_hint(format!(
+            "frames are {}, {}, ...; it also holds {} as `{first}` to `{last}`: rename them, or save them as PNG or as one video",
+            numbered(0, "png"),
+            numbered(1, "png"),
+            others.len()
+        )),
+        _ => error,
+    })
+}
+
+/// True for the name of an image that a person may have meant as a frame.
+fn is_image(name: &str) -> bool {
+    const ENDINGS: [&str; 8] = ["png", "jpg", "jpeg", "webp", "bmp", "tif", "tiff", "ppm"];
+    let ending = name.rsplit_once('.').map(|(_, ending)| ending.to_ascii_lowercase());
+    ending.is_some_and(|ending| ENDINGS.contains(&ending.as_str()))
 }
 
 fn check_size(path: &Path, found: (u32, u32), expected: (u32, u32)) -> StageResult<()> {
@@ -220,16 +246,21 @@ fn read_rgb(path: &Path, size: (u32, u32)) -> StageResult<Vec<u8>> {
     let image = open_png(path, size)?.decode().map_err(unreadable)?;
     match image.color() {
         ColorType::Rgb8 | ColorType::L8 => Ok(image.into_rgb8().into_raw()),
-        ColorType::Rgba8
-            if image
-                .as_rgba8()
-                .is_some_and(|rgba| rgba.pixels().all(|pixel| pixel.0[3] == 255)) =>
-        {
-            Ok(image.into_rgb8().into_raw())
-        }
+        ColorType::Rgba8 | ColorType::La8 if is_opaque(&image) => Ok(image.into_rgb8().into_raw()),
         ColorType::Rgba8 | ColorType::La8 => Err(wrong(path, "the image is partly transparent; save it without alpha")),
         other => Err(wrong(path, format!("pixels are {other:?}, expected 8-bit RGB or grey"))),
     }
+}
+
+/// Whether every pixel of an 8-bit image with alpha is opaque.
+fn is_opaque(image: &DynamicImage) -> bool {
+    let bytes = image.as_bytes();
+    let channels = usize::from(image.color().channel_count()).max(1);
+    bytes
+        .iter()
+        .skip(channels - 1)
+        .step_by(channels)
+        .all(|&alpha| alpha == 255)
 }
 
 /// A 16-bit grey image of the expected size. `[h, w]`

@@ -103,6 +103,9 @@ pub fn build(clip: &Clip, robot: &Robot, params: &Params, observer: &mut dyn Obs
     for camera in &clip.cameras {
         base_from_camera.push(camera_poses(camera, &robot.model, &base_from_link)?);
     }
+    misplaced_cameras(clip)
+        .into_iter()
+        .for_each(|warning| observer.warn(warning));
     let source_cameras = clip.source_cameras();
     let first_camera = *source_cameras
         .first()
@@ -226,6 +229,31 @@ fn draw(
         .par_iter()
         .map_init(|| Renderer::new(&robot.scene), draw_view)
         .collect()
+}
+
+/// Fixed cameras that stand inside the robot's base: their poses were never filled in, or have another unit.
+fn misplaced_cameras(clip: &Clip) -> Vec<String> {
+    /// No camera fits into the axis of the first joint, metres.
+    const INSIDE: f64 = 0.02;
+    let warning = |camera: &ClipCamera| {
+        let CameraMount::Fixed { base_from_camera } = &camera.mount else {
+            return None;
+        };
+        let [x, y, z] = base_from_camera.translation;
+        let distance = (x * x + y * y + z * z).sqrt();
+        let why = if distance == 0.0 {
+            "was its pose never filled in"
+        } else {
+            "was its pose in metres divided by 1000 or 100 once too often"
+        };
+        (distance < INSIDE).then(|| {
+            format!(
+                "camera `{}` stands {distance:.4} m from the robot's base: {why}?",
+                camera.id
+            )
+        })
+    };
+    clip.cameras.iter().filter_map(warning).collect()
 }
 
 /// Cameras whose reference depth of the robot is some usual factor off its mesh depth: the depth has another unit.

@@ -267,12 +267,10 @@ fn resolve_selector(root: &Path, selector: &str) -> StageResult<String> {
 fn read_annotation(root: &Path, name: &str) -> StageResult<(PathBuf, Annotation)> {
     let path = inside(root, name, root)?;
     let text = read_text(&path, MAX_JSON)?;
-    // JSON has no NaN, but Python writes it.
-    let annotation = serde_json::from_str(&text).map_err(|error| {
-        let hint = "Python's `NaN` is not JSON: a state that was not measured cannot be used";
+    let annotation = rogs_schemas::json::read(&text).map_err(|error| {
         let error = wrong(&path, format!("not a Ctrl-World annotation: {error}"));
         if text.contains("NaN") {
-            error.with_hint(hint)
+            error.with_hint("Python's `NaN` is no number: a state that was not measured cannot be used")
         } else {
             error
         }

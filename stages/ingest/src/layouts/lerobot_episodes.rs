@@ -122,7 +122,7 @@ impl Dataset {
         let mut damaged = Vec::new();
         let mut number = 0;
         while let Some((_, line)) = lines.next(work)? {
-            match serde_json::from_str::<Line>(&line) {
+            match rogs_schemas::json::read::<Line>(&line) {
                 Ok(line) => {
                     given.insert(line.episode_index);
                     found.push(self.of_line(line)?);
@@ -371,7 +371,7 @@ impl Lines {
                 high = middle + 1;
                 continue;
             };
-            let Ok(line) = serde_json::from_str::<Line>(&text) else {
+            let Ok(line) = rogs_schemas::json::read::<Line>(&text) else {
                 return Ok(None);
             };
             match line.episode_index.cmp(&index) {
@@ -382,7 +382,7 @@ impl Lines {
         }
         self.go_to(low)?;
         while let Some((_, text)) = self.next(work)?.filter(|(begin, _)| *begin < high) {
-            match serde_json::from_str::<Line>(&text) {
+            match rogs_schemas::json::read::<Line>(&text) {
                 Ok(line) if line.episode_index == index => return Ok(Some(line)),
                 Ok(_) => {}
                 Err(_) => return Ok(None),
@@ -397,7 +397,7 @@ impl Lines {
         let mut damaged = None;
         let mut number = 0;
         while let Some((_, text)) = self.next(work)? {
-            match serde_json::from_str::<Line>(&text) {
+            match rogs_schemas::json::read::<Line>(&text) {
                 Ok(line) if line.episode_index == index => return Ok(Some(line)),
                 Err(error) if number == index => {
                     damaged = Some(wrong(&self.path, format!("line {} is no episode: {error}", number + 1)));

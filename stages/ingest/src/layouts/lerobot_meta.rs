@@ -110,8 +110,8 @@ impl Dataset {
     pub(crate) fn open(root: &Path) -> StageResult<Self> {
         let path = root.join("meta/info.json");
         let text = read_text(&path, MAX_JSON)?;
-        let info: Info =
-            serde_json::from_str(&text).map_err(|error| wrong(&path, format!("not LeRobot's `info.json`: {error}")))?;
+        let info: Info = rogs_schemas::json::read(&text)
+            .map_err(|error| wrong(&path, format!("not LeRobot's `info.json`: {error}")))?;
         let version = match info.codebase_version.as_str() {
             "v2.0" | "v2.1" => Version::V21,
             "v3.0" => Version::V30,

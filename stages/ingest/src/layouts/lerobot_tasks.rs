@@ -36,7 +36,7 @@ impl Dataset {
         let mut lines = Lines::open(&self.root.join("meta/tasks.jsonl")).ok()?;
         let mut work = Work::default();
         while let Some((_, line)) = lines.next(&mut work).ok()? {
-            match serde_json::from_str::<Task>(&line) {
+            match rogs_schemas::json::read::<Task>(&line) {
                 Ok(task) if task.task_index == number => return Some(task.task),
                 _ => {}
             }

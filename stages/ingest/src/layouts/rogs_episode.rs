@@ -8,7 +8,7 @@ use rogs_schemas::episode::{
     EPISODE_FILE, EPISODE_FORMAT, Episode, EpisodeCamera, EpisodeCameraRole, EpisodeMount, EpisodeRobot, EpisodeTracks,
     GRIPPER_COLUMN, PixelCentres, TIME_COLUMN,
 };
-use rogs_schemas::ids::misspelt;
+use rogs_schemas::ids::{did_you_mean, misspelt};
 use rogs_schemas::records::clip::CameraRole;
 use rogs_schemas::{Intrinsics, WrittenPose};
 use rogs_worker::StageResult;
@@ -34,8 +34,7 @@ const MAX_FRAMES: u32 = 1 << 20;
 pub(crate) fn read_description(root: &Path) -> StageResult<Episode> {
     let path = root.join(EPISODE_FILE);
     let text = read_text(&path, MAX_JSON)?;
-    let episode: Episode = serde_json::from_str(&text).map_err(|error| {
-        let said = error.to_string();
+    let episode: Episode = rogs_schemas::json::read(&text).map_err(|said| {
         let hint = match misspelt(&said) {
             Some((_, Some(meant))) => format!("did you mean `{meant}`? docs/episode-format.md has all keys"),
             _ => "docs/episode-format.md shows one".to_owned(),
@@ -228,6 +227,51 @@ fn read_trajectory(path: &Path, frames: u32) -> StageResult<SourceMount> {
     Ok(SourceMount::Trajectory(poses?))
 }
 
+/// A table as programs write it: cells between commas, semicolons or tabs, perhaps in quotes, below lines of comments.
+struct Table<'a> {
+    header: &'a str,
+    separator: char,
+    /// Lines below the header that hold something.
+    rows: std::iter::Filter<std::str::Lines<'a>, fn(&&'a str) -> bool>,
+}
+
+impl<'a> Table<'a> {
+    fn new(text: &'a str) -> Self {
+        let holds_something: fn(&&'a str) -> bool = |line| {
+            let line = line.trim();
+            // Spreadsheets say the separator in a line of its own.
+            !(line.is_empty() || line.starts_with('#') || line.starts_with("sep="))
+        };
+        let mut rows = text.trim_start_matches('\u{feff}').lines().filter(holds_something);
+        let header = rows.next().unwrap_or_default();
+        let separator = [',', ';', '\t']
+            .into_iter()
+            .find(|&separator| header.contains(separator));
+        Self {
+            header,
+            separator: separator.unwrap_or(','),
+            rows,
+        }
+    }
+
+    fn cells(&self, line: &'a str) -> Vec<&'a str> {
+        let bare = |cell: &'a str| {
+            let cell = cell.trim();
+            let quoted = cell.strip_prefix('"').and_then(|cell| cell.strip_suffix('"'));
+            quoted.unwrap_or(cell).trim()
+        };
+        line.split(self.separator).map(bare).collect()
+    }
+
+    /// A number, with a decimal comma where the comma does not separate cells.
+    fn number(&self, cell: &str) -> Option<f64> {
+        match self.separator {
+            ',' => cell.parse().ok(),
+            _ => cell.replace(',', ".").parse().ok(),
+        }
+    }
+}
+
 /// The table of joint and gripper states, their times in seconds where it has them, and what is odd about these.
 fn read_states(
     root: &Path,
@@ -238,16 +282,18 @@ fn read_states(
 ) -> StageResult<(States, Vec<f64>, Vec<String>)> {
     let path = inside(root, &robot.states, json)?;
     let text = read_text(&path, MAX_CSV)?;
-    let mut lines = text.trim_start_matches('\u{feff}').lines();
-    let header: Vec<&str> = lines.next().unwrap_or_default().split(',').map(str::trim).collect();
+    let table = Table::new(&text);
+    let header: Vec<&str> = table.cells(table.header);
     let column = |name: &str| {
         let found: Vec<usize> = (0..header.len()).filter(|&index| header[index] == name).collect();
         match found[..] {
             [column] => Ok(column),
-            [] => Err(wrong(
-                &path,
-                format!("there is no column `{name}`; the header is `{}`", header.join(",")),
-            )),
+            [] => {
+                let meant = did_you_mean(name, header.iter().copied());
+                let meant = meant.map_or_else(String::new, |meant| format!(", did you mean `{meant}`?"));
+                let what = format!("there is no column `{name}`{meant}; the header is `{}`", table.header);
+                Err(wrong(&path, what))
+            }
             _ => Err(wrong(&path, format!("there are several columns `{name}`"))),
         }
     };
@@ -265,14 +311,14 @@ fn read_states(
         gripper: Vec::new(),
     };
     let mut times: Vec<f64> = Vec::new();
-    for (row, line) in lines.filter(|line| !line.trim().is_empty()).enumerate() {
+    for (row, line) in table.rows.clone().enumerate() {
         if row >= frames as usize {
             return Err(wrong(
                 &path,
                 format!("there are more rows than the {frames} frames of the episode"),
             ));
         }
-        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+        let cells = table.cells(line);
         if cells.len() != header.len() {
             return Err(wrong(
                 &path,
@@ -281,7 +327,7 @@ fn read_states(
         }
         let number = |column: usize| {
             let cell = cells[column];
-            cell.parse::<f64>().map_err(|_| {
+            table.number(cell).ok_or_else(|| {
                 wrong(
                     &path,
                     format!("invalid number `{cell}` in column `{}`, row {row}", header[column]),

@@ -39,7 +39,7 @@ pub(super) fn join(path: &Path, source: &mut Source, params: &PointWorldParams) 
         return Ok(());
     }
     let text = read_text(path, MAX_JSON)?;
-    let file: File = serde_json::from_str(&text)
+    let file: File = rogs_schemas::json::read(&text)
         .map_err(|error| wrong(path, format!("it is not a PointWorld camera file: {error}")))?;
     same_episode(&file.uuid, source, path)?;
     let loss = file.optimization_summary.map(|summary| summary.final_loss);

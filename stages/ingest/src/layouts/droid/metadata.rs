@@ -59,12 +59,10 @@ pub(super) fn read(root: &Path) -> StageResult<Option<Metadata>> {
     };
     let path = root.join(&name);
     let text = read_text(&path, MAX_JSON)?;
-    let mut metadata: Metadata = serde_json::from_str(&text).map_err(|error| {
+    let mut metadata: Metadata = rogs_schemas::json::read(&text).map_err(|error| {
         let error = wrong(&path, format!("not the metadata of a DROID episode: {error}"));
         if text.contains("NaN") {
-            error.with_hint(
-                "Python's `NaN` is not JSON: replace it with `null`, and give that camera another calibration",
-            )
+            error.with_hint("Python's `NaN` is no number: give that camera another calibration")
         } else {
             error
         }
