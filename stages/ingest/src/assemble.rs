@@ -90,6 +90,9 @@ pub(crate) fn assemble(
             Some(rollout)
         }
     };
+    // Cameras that share a video say the same of it.
+    let mut said = std::collections::BTreeSet::new();
+    warnings.retain(|warning| said.insert(warning.clone()));
     let tracks = match &source.tracks {
         None => None,
         Some(tracks) => make_tracks(tracks, &chosen, &source, interval, params, &mut warnings)?,

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use image::{ColorType, DynamicImage};
 use rogs_arrays::Png;
-use rogs_worker::StageResult;
+use rogs_worker::{StageError, StageResult};
 
 use crate::fault::{io_error, unreadable, wrong};
 use crate::media::VideoInfo;
@@ -15,6 +15,8 @@ use crate::video;
 /// Where the images of a camera come from.
 #[derive(Debug, Clone)]
 pub(crate) enum FrameSource {
+    /// Images in order.
+    Files(Vec<PathBuf>),
     /// `000000.png`, `000001.png`, ... in a folder.
     Folder(PathBuf),
     /// `0.png`, `1.png`, ... in a folder.
@@ -84,8 +86,7 @@ impl FrameSource {
     /// A folder or video of an own episode, with exactly `frame_count` frames of the size, `fps` of them a second.
     pub(crate) fn open(path: PathBuf, (frame_count, fps): (u32, f64), size: (u32, u32)) -> StageResult<Self> {
         if !is_video(&path) {
-            check_folder(&path, frame_count)?;
-            return Ok(Self::Folder(path));
+            return frames_of(&path, frame_count).map(Self::Files);
         }
         let mut info = video::probe(&path)?;
         check_size(&path, (info.width, info.height), size).map_err(|error| match info.notes.first() {
@@ -137,6 +138,14 @@ impl FrameSource {
                 let told: Vec<String> = info.notes.iter().cloned().chain(complaint).collect();
                 Ok((!told.is_empty()).then(|| format!("`{}`: {}", path.display(), told.join("; "))))
             }
+            Self::Files(files) => {
+                for index in 0..count {
+                    let file = files.get((first + index * step) as usize);
+                    let file = file.ok_or_else(|| StageError::internal("a frame beyond those that were listed"))?;
+                    take(&read_rgb(file, size)?);
+                }
+                Ok(None)
+            }
             Self::Folder(folder) => {
                 for index in 0..count {
                     take(&read_rgb(&folder.join(numbered(first + index * step, "png")), size)?);
@@ -185,42 +194,54 @@ pub(crate) fn numbered(index: u32, extension: &str) -> String {
     format!("{index:06}.{extension}")
 }
 
-/// A folder must hold exactly the frames of the episode.
-fn check_folder(folder: &Path, frame_count: u32) -> StageResult<()> {
+/// The frames of an episode in a folder, in order: exactly so many PNG files, whose names end in numbers without a gap.
+fn frames_of(folder: &Path, frame_count: u32) -> StageResult<Vec<PathBuf>> {
     let entries = rogs_files::entries(folder).map_err(|error| io_error(folder, &error))?;
     let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
-    let (mut found, mut others) = (0, Vec::new());
-    for name in names {
-        let number = name.strip_suffix(".png").and_then(|number| number.parse::<u32>().ok());
-        let is_frame = number.is_some_and(|number| number < frame_count && numbered(number, "png") == name);
-        found += u32::from(is_frame || name.ends_with(".png"));
-        if !is_frame && is_image(&name) {
-            others.push(name);
+    let (mut frames, mut others) = (Vec::new(), Vec::new());
+    for name in names.filter(|name| is_image(name)) {
+        match frame_number(&name) {
+            Some((stem, number)) => frames.push((stem.to_owned(), number, name)),
+            None => others.push(name),
         }
     }
-    if found == frame_count && others.iter().all(|name| !name.ends_with(".png")) {
-        return Ok(());
+    frames.sort();
+    let follow = |pair: &[(String, u32, String)]| pair[0].0 == pair[1].0 && pair[0].1.checked_add(1) == Some(pair[1].1);
+    if frames.len() == frame_count as usize && others.is_empty() && frames.windows(2).all(follow) {
+        return Ok(frames.into_iter().map(|(.., name)| folder.join(name)).collect());
     }
-    others.sort();
-    let what = if found == frame_count {
-        format!(
-            "its frames are not named {} to {}",
-            numbered(0, "png"),
-            numbered(frame_count - 1, "png")
-        )
+    let found = frames.len()
+        + others
+            .iter()
+            .filter(|name| name.to_lowercase().ends_with(".png"))
+            .count();
+    let what = if found == frame_count as usize {
+        "the names of its PNG files do not end in numbers without a gap".to_owned()
     } else {
         format!("it has {found} PNG files, the episode {frame_count} frames")
     };
+    others.sort();
     let error = wrong(folder, what);
-    Err(match (others.first(), others.last()) {
-        (Some(first), Some(last)) => error.with_hint(format!(
-            "frames are {}, {}, ...; it also holds {} as `{first}` to `{last}`: rename them, or save them as PNG or as one video",
-            numbered(0, "png"),
-            numbered(1, "png"),
-            others.len()
+    let usual = format!("frames are {}, {}, ...", numbered(0, "png"), numbered(1, "png"));
+    Err(match (others.first(), frames.windows(2).find(|pair| !follow(pair))) {
+        (Some(other), _) => error.with_hint(format!(
+            "{usual}; it also holds `{other}`{}: remove what is none of them, or save them as PNG or as one video",
+            match others.len() {
+                1 => String::new(),
+                count => format!(" and {} more images", count - 1),
+            }
         )),
-        _ => error,
+        (None, Some([before, after])) => error.with_hint(format!("{usual}; behind `{}` comes `{}`", before.2, after.2)),
+        _ => error.with_hint(usual),
     })
+}
+
+/// What stands before the number of a PNG file's name, and the number.
+fn frame_number(name: &str) -> Option<(&str, u32)> {
+    let (stem, ending) = name.rsplit_once('.')?;
+    let before = stem.trim_end_matches(|c: char| c.is_ascii_digit());
+    let number = stem[before.len()..].parse().ok()?;
+    ending.eq_ignore_ascii_case("png").then_some((before, number))
 }
 
 /// True for the name of an image that a person may have meant as a frame.
@@ -288,6 +309,51 @@ mod tests {
             height: 2,
         };
         assert_eq!(part.of(&picture, 4), [18, 19, 20, 21, 22, 23, 30, 31, 32, 33, 34, 35]);
+    }
+
+    #[test]
+    #[allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+    fn frames_are_files_whose_names_count() {
+        let said = |names: &[&str]| {
+            let folder = tempfile::tempdir().unwrap();
+            for name in names {
+                std::fs::write(folder.path().join(name), b"").unwrap();
+            }
+            let frames = frames_of(folder.path(), 3).map_err(|error| format!("{error} {:?}", error.hint))?;
+            let name = |path: &PathBuf| path.file_name().unwrap().to_string_lossy().into_owned();
+            Ok::<Vec<String>, String>(frames.iter().map(name).collect())
+        };
+        for names in [
+            ["000000.png", "000001.png", "000002.png"],
+            ["000001.png", "000002.png", "000003.png"],
+            ["frame_9.png", "frame_10.png", "frame_11.png"],
+            ["rgb-000.PNG", "rgb-001.PNG", "rgb-002.PNG"],
+        ] {
+            assert_eq!(said(&names).unwrap(), names);
+        }
+        let strays = [
+            "0.png",
+            "1.png",
+            "2.png",
+            "._0.png",
+            "Thumbs.db",
+            "3.png.part",
+            "times.txt",
+            "2.png~",
+        ];
+        assert_eq!(said(&strays).unwrap(), ["0.png", "1.png", "2.png"]);
+        for (names, words) in [
+            (&["0.png", "1.png"][..], "it has 2 PNG files, the episode 3 frames"),
+            (&["0.png", "1.png", "3.png"], "behind `1.png` comes `3.png`"),
+            (&["a0.png", "a1.png", "b2.png"], "do not end in numbers"),
+            (&["0.png", "1.png", "2.png", "2 copy.png"], "it also holds `2 copy.png`"),
+            (&["0.jpg", "1.jpg", "2.jpg"], "it also holds `0.jpg` and 2 more images"),
+            (&["0.png", "1.png", "2.png", "2.webp"], "`2.webp`"),
+            (&["a.png", "b.png", "c.png"], "do not end in numbers"),
+        ] {
+            let told = said(names).unwrap_err();
+            assert!(told.contains(words), "{names:?}: {told}");
+        }
     }
 
     #[test]

@@ -42,6 +42,8 @@ pub struct MeasuredImage {
     pub score: ImageScore,
     /// There is reference depth, but none of it in range.
     pub empty_support: bool,
+    /// Predicted over reference depth, the median of the pixels that have both; `None` without any.
+    pub depth_ratio: Option<f64>,
     /// Sum of absolute depth errors in metres and pixels of the robot's core; `None` for evaluation cameras and where
     /// reference depth, mesh or prediction is missing.
     pub core: Option<(f64, u64)>,
@@ -85,6 +87,7 @@ pub fn measure_image(
     let mut measured = MeasuredImage {
         score,
         empty_support: false,
+        depth_ratio: None,
         core: None,
     };
     if let (Some(predicted), Some((reference, range_m))) = (prediction.depth_m, reference_depth(view, clip, frame)) {
@@ -120,6 +123,8 @@ fn measure_depth(measured: &mut MeasuredImage, predicted: &[f32], reference: &[f
     score.delta1 = Some(plain.delta1);
     score.support_n = plain.count;
     let scale = median_scale(predicted, reference, &support);
+    let has_both = |(predicted, supported): (&f32, &bool)| *supported && predicted.is_finite() && *predicted > 0.0;
+    measured.depth_ratio = predicted.iter().zip(&support).any(has_both).then_some(1.0 / scale);
     score.absrel_scaled = depth_scores(predicted, reference, &support, scale).map(|scores| scores.absrel);
     let far = far_support(reference, &support);
     score.far_absrel = depth_scores(predicted, reference, &far, 1.0).map(|scores| scores.absrel);

@@ -135,6 +135,18 @@ impl Scene<'_> {
         }
     }
 
+    /// Cameras of image predictions with colours far beyond 1.
+    pub(crate) fn beyond(&self) -> Vec<String> {
+        let Predictions::Images(images) = &self.predictions else {
+            return Vec::new();
+        };
+        let told = images.beyond().into_iter();
+        told.map(|(camera, most)| {
+            format!("colours of camera `{camera}` go up to {most} and are clipped: floats are colours in 0 to 1")
+        })
+        .collect()
+    }
+
     /// Displacement errors from the tracks' anchor time to every other query time. One render a source camera carries
     /// the displacements to all times as further channels. Empty when the clip has no tracks.
     pub(crate) fn displacements(&self) -> StageResult<Displacements> {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use rogs_field::TimedField;
-use rogs_geometry::{Base, Pose, Recon};
+use rogs_geometry::{Base, Pose, Recon, unit_factor};
 use rogs_r4c::Record;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::Clip;
@@ -237,6 +237,7 @@ impl Score {
     fn score(&self, context: &mut Context<'_>, scene: &Scene<'_>, mut sheet: ScoreSheet) -> StageResult<()> {
         let (clip, robot) = (scene.clip, scene.robot);
         let mut kept = Vec::new();
+        let mut depths = PredictedDepths::default();
         let parts = (clip.query_frames.len() + 1) as f64;
         for (index, &frame) in clip.query_frames.iter().enumerate() {
             context.progress(index as f64 / parts, &format!("frame {frame}"));
@@ -244,6 +245,7 @@ impl Score {
             let mut measured = context.timed("measure", |_| self.measure(clip, robot, frame, &views))?;
             context.timed("lpips", |_| self.add_lpips(clip, &views, &mut measured, &mut sheet));
             sheet.robot_depth.push(pool_robot_depth(frame, &measured));
+            depths.add(&views, &measured);
             for (view, image) in views.into_iter().zip(measured) {
                 sheet.invalid_gaussians = sheet.invalid_gaussians.max(view.invalid);
                 sheet.n_empty_support += u32::from(image.empty_support);
@@ -264,6 +266,11 @@ impl Score {
                 "`{}`: {} Gaussians have values that are not finite; they are scored as if they were not there",
                 sheet.method, sheet.invalid_gaussians
             ));
+        }
+        // What an untrained network of ours predicts has no unit to be wrong.
+        let of_others = !matches!(scene.predictions, Predictions::Field(FieldSource::Own { .. }));
+        for note in depths.notes().into_iter().filter(|_| of_others).chain(scene.beyond()) {
+            context.warn(format!("`{}`: {note}", sheet.method));
         }
         for (camera, count) in scene.undefined() {
             context.warn(format!(
@@ -342,6 +349,44 @@ impl Score {
                 Err(why) => sheet.lpips_note = Some(why),
             }
         }
+    }
+}
+
+/// What the depths of a prediction say of its unit.
+#[derive(Debug, Default)]
+struct PredictedDepths {
+    /// Predicted over reference depth of each image that has both.
+    ratios: Vec<f64>,
+    /// Images with depth, and those of them that show nothing.
+    images: usize,
+    empty: usize,
+}
+
+impl PredictedDepths {
+    fn add(&mut self, views: &[ViewRender], measured: &[MeasuredImage]) {
+        for depth_m in views.iter().filter_map(|view| view.depth_m.as_ref()) {
+            self.images += 1;
+            self.empty += usize::from(!depth_m.iter().any(|depth| *depth > 0.0));
+        }
+        self.ratios
+            .extend(measured.iter().filter_map(|image| image.depth_ratio));
+    }
+
+    fn notes(mut self) -> Vec<String> {
+        let mut notes = Vec::new();
+        if self.images > 0 && self.empty == self.images {
+            notes.push(
+                "no view shows anything of the prediction: are its positions metres, in the frame that it says?"
+                    .to_owned(),
+            );
+        }
+        self.ratios.sort_by(f64::total_cmp);
+        let median = self.ratios.get(self.ratios.len() / 2);
+        let told = median.and_then(|ratio| Some((ratio, unit_factor(*ratio)?.meaning)));
+        notes.extend(told.map(|(ratio, meaning)| {
+            format!("its depth is {ratio:.4} times that of the reference (median of the images): {meaning}?")
+        }));
+        notes
     }
 }
 

@@ -211,3 +211,114 @@ fn arrays_are_compared_by_name_and_time() {
     let error = score_paths(&own, &missing, SsimVariant::default(), None, [None; 2]).unwrap_err();
     assert!(matches!(error, FolderError::Nothing { .. }), "{error}");
 }
+
+#[test]
+fn units_of_depth_are_told_by_name_and_stated() {
+    let folder = tempfile::tempdir().unwrap();
+    let [own, other] = ["own.exr", "other.exr"].map(|name| folder.path().join(name));
+    let truth = vec![0.9_f32, 1.0, 1.1, 1.2, 1.3, 1.4];
+    let scaled = |factor: f32| truth.iter().map(|depth| depth * factor).collect::<Vec<f32>>();
+    let notes = |own_unit: Option<f64>, other_unit: Option<f64>| {
+        let scores = score_paths(&own, &other, SsimVariant::default(), None, [own_unit, other_unit]).unwrap();
+        (scores.absrel, scores.pairs[0].notes.join("; "))
+    };
+    write_depth(&other, 3, 2, "Z", truth.clone());
+    for (factor, words) in [
+        (1000.0, "millimetres instead of metres"),
+        (100.0, "centimetres instead of metres"),
+        (57.29578, "57.29"),
+        (39.37, "inches"),
+        (10.0, "10000 steps"),
+        (5.0, "5000 steps"),
+        (0.001, "divided by 1000"),
+        (0.2, "a fifth of the unit"),
+    ] {
+        write_depth(&own, 3, 2, "Z", scaled(factor));
+        let (_, told) = notes(None, None);
+        assert!(
+            told.contains(words) && told.contains("--prediction-unit-m"),
+            "{factor}: {told}"
+        );
+        let (absrel, told) = notes(Some(f64::from(1.0 / factor)), None);
+        assert!(absrel.unwrap() < 1e-5 && told.is_empty(), "{factor}: {told}");
+    }
+    for factor in [1.0, 1.3, 2.0, 0.7] {
+        write_depth(&own, 3, 2, "Z", scaled(factor));
+        assert_eq!(notes(None, None).1, "", "{factor}");
+    }
+    write_depth(&own, 3, 2, "Z", truth.clone());
+    for (factor, words) in [
+        (1000.0, "millimetres instead"),
+        (0.001, "divided by 1000"),
+        (0.0, "no value is above 0"),
+    ] {
+        write_depth(&other, 3, 2, "Z", scaled(factor));
+        let (absrel, told) = notes(None, None);
+        assert!(absrel.is_none() && told.contains(words), "{factor}: {told}");
+    }
+    write_depth(&other, 3, 2, "Z", scaled(1000.0));
+    let (absrel, told) = notes(None, Some(0.001));
+    assert!(absrel.unwrap() < 1e-5 && told.is_empty(), "{told}");
+}
+
+#[test]
+fn depth_comes_as_npy_and_as_16_bit_png() {
+    let folder = tempfile::tempdir().unwrap();
+    let [steps, metres] = ["steps.png", "metres.npy"].map(|name| folder.path().join(name));
+    let picture =
+        image::ImageBuffer::<image::Luma<u16>, _>::from_fn(4, 2, |x, y| image::Luma([(900 + 100 * x + y) as u16]));
+    picture.save(&steps).unwrap();
+    let values: Vec<f32> = picture.as_raw().iter().map(|step| f32::from(*step) / 1000.0).collect();
+    std::fs::write(&metres, rogs_arrays::npy_bytes(&[2, 4, 1], &values)).unwrap();
+    let score = |unit: Option<f64>| {
+        let scores = score_paths(&steps, &metres, SsimVariant::default(), None, [unit, None]).unwrap();
+        (scores.psnr, scores.absrel.unwrap(), scores.pairs[0].notes.join("; "))
+    };
+    let (psnr, absrel, told) = score(None);
+    assert!(psnr.is_none() && absrel < 1e-6, "{absrel}");
+    assert!(
+        told.contains("16-bit grey pixels are taken as depth in millimetres"),
+        "{told}"
+    );
+    let (_, absrel, told) = score(Some(0.001));
+    assert!(absrel < 1e-6 && told.is_empty(), "{told}");
+    let (_, absrel, told) = score(Some(0.0002));
+    assert!(absrel > 0.79 && told.contains("a fifth"), "{told}");
+}
+
+#[test]
+fn folders_are_compared_without_what_systems_leave_in_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let [own, other] = ["own", "other"].map(|name| folder.path().join(name));
+    for folder in [&own, &other] {
+        std::fs::create_dir(folder).unwrap();
+        picture(0).save(folder.join("a.png")).unwrap();
+        for stray in [
+            "._a.png",
+            "a.png.part",
+            "Thumbs.db",
+            "a.sync-conflict-20260131-1.png",
+            "~$a.png",
+        ] {
+            std::fs::write(folder.join(stray), "no image").unwrap();
+        }
+    }
+    let scores = score_paths(&own, &other, SsimVariant::default(), None, [None; 2]).unwrap();
+    assert_eq!((scores.pairs.len(), scores.n.psnr), (1, 1));
+}
+
+#[test]
+fn bytes_that_were_colours_in_0_to_1_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let [own, other] = ["own.png", "other.png"].map(|name| folder.path().join(name));
+    RgbImage::from_fn(32, 24, |x, _| Rgb([(x % 2) as u8; 3]))
+        .save(&own)
+        .unwrap();
+    picture(0).save(&other).unwrap();
+    let scores = score_paths(&own, &other, SsimVariant::default(), None, [None; 2]).unwrap();
+    assert!(
+        scores.pairs[0].notes[0].contains("bytes go to 255"),
+        "{:?}",
+        scores.pairs[0].notes
+    );
+}

@@ -260,6 +260,26 @@ fn rendered_images_have_the_scores_of_the_renders() {
         "{event}"
     );
 
+    // Numbers of another unit are told.
+    for (name, factor, words) in [
+        ("depth_wrist", 1000.0, "millimetres instead of metres"),
+        ("depth_wrist", 100.0, "centimetres"),
+        ("depth_wrist", 10.0, "ten times"),
+        ("depth_wrist", 5.0, "5000 steps"),
+        ("depth_wrist", 0.001, "divided by 1000"),
+        ("depth_wrist", 0.0, "no view shows anything"),
+        ("rgb_wrist", 255.0, "floats are colours in 0 to 1"),
+    ] {
+        let mut scaled = arrays.clone();
+        let array = scaled.iter_mut().find(|(own, ..)| *own == name).unwrap();
+        array.2.iter_mut().for_each(|value| *value *= factor);
+        write_npz(&folder.path().join("images.npz"), &scaled, false);
+        let (event, _) = score(folder.path(), json!({}));
+        let warnings = event["warnings"].as_array().unwrap();
+        let told = |warning: &serde_json::Value| warning.as_str().unwrap().contains(words);
+        assert!(warnings.iter().any(told), "{name} x {factor}: {event}");
+    }
+
     arrays.push(("rgb_front", vec![1], vec![0.0]));
     write_npz(&folder.path().join("images.npz"), &arrays, false);
     let (event, _) = score(folder.path(), json!({}));

@@ -210,6 +210,7 @@ impl Rows {
             name.starts_with("observation.state")
                 || name.starts_with("camera_extrinsics")
                 || ["timestamp", "frame_index", "episode_index", "task_index"].contains(&name)
+                || [STATES.as_slice(), &JOINTS, &GRIPPERS].concat().contains(&name)
         };
         let only = Some(("episode_index", episode.index));
         let table = Table::read_where(&path, &wanted, only, &mut Work::default())?;
@@ -310,6 +311,23 @@ impl Rows {
     }
 }
 
+/// Columns of the whole state, as LeRobot and openpi call it.
+const STATES: [&str; 2] = ["observation.state", "state"];
+/// Columns of joint positions alone.
+const JOINTS: [&str; 5] = [
+    "observation.state.joint_position",
+    "observation.state.joint_positions",
+    "observation.joint_position",
+    "joint_position",
+    "joint_positions",
+];
+/// Columns of the gripper alone.
+const GRIPPERS: [&str; 3] = [
+    "observation.state.gripper_position",
+    "observation.gripper_position",
+    "gripper_position",
+];
+
 /// Column and entry of a state.
 type Place = (String, usize);
 /// Joints by their names.
@@ -318,15 +336,17 @@ type Named = Vec<(String, Place)>;
 /// Names and places of the joints, and the place of the gripper, where there is one.
 fn state_entries(dataset: &Dataset, choice: &StateColumns, path: &Path) -> StageResult<(Named, Option<Place>)> {
     let features = &dataset.info.features;
+    let column = STATES.into_iter().find(|name| features.contains_key(*name));
+    let column = column.unwrap_or(STATES[0]);
     let state = features
-        .get("observation.state")
+        .get(column)
         .map(|feature| feature.entry_names())
         .unwrap_or_default();
     let in_state = |name: &str| {
         state
             .iter()
             .position(|entry| entry == name)
-            .map(|entry| ("observation.state".to_owned(), entry))
+            .map(|entry| (column.to_owned(), entry))
     };
     // All of them at once.
     let asked = choice
@@ -337,22 +357,22 @@ fn state_entries(dataset: &Dataset, choice: &StateColumns, path: &Path) -> Stage
     let known: Vec<&str> = state.iter().map(String::as_str).collect();
     if let Some(unknown) = unknown(asked.map(String::as_str), &known) {
         let text = format!(
-            "`observation.state` has no entry {unknown}; it has {}",
+            "`{column}` has no entry {unknown}; it has {}",
             known.join(", ")
         );
         return Err(StageError::bad_params(text)
             .with_hint("`joints` and `gripper` under [ingest.states] of the manifest name them"));
     }
-    let own_gripper = "observation.state.gripper_position";
-    let gripper = match &choice.gripper {
-        Some(name) => in_state(name),
-        None if features.contains_key(own_gripper) => Some((own_gripper.to_owned(), 0)),
-        None => {
+    let own_gripper = GRIPPERS.into_iter().find(|name| features.contains_key(*name));
+    let gripper = match (&choice.gripper, own_gripper) {
+        (Some(name), _) => in_state(name),
+        (None, Some(own)) => Some((own.to_owned(), 0)),
+        (None, None) => {
             let usual = ["gripper", "gripper_position", "gripper.pos", "main_gripper"];
             let found = usual.iter().find_map(|name| in_state(name));
             Some(found.ok_or_else(|| {
                 wrong(path, "the data names no gripper state").with_hint(format!(
-                    "under [ingest.states] of the manifest: gripper = \"ENTRY\" with the entry of `observation.state` that is \
+                    "under [ingest.states] of the manifest: gripper = \"ENTRY\" with the entry of `{column}` that is \
                      the gripper, or gripper = \"\" for a robot without; it has {}",
                     state.join(", ")
                 ))
@@ -363,13 +383,14 @@ fn state_entries(dataset: &Dataset, choice: &StateColumns, path: &Path) -> Stage
         let named = |name: &String| Some((name.clone(), in_state(name)?));
         return Ok((choice.joints.iter().filter_map(named).collect(), gripper));
     }
-    for column in ["observation.state.joint_position", "observation.state.joint_positions"] {
+    for column in JOINTS {
         if let Some(feature) = features.get(column) {
             let names = feature.entry_names();
-            let names = if names.is_empty() {
-                (0..7).map(|joint| format!("joint_{joint}")).collect()
-            } else {
-                names
+            let unnamed = names.iter().all(|name| name.parse::<u32>().is_ok());
+            let count = if names.is_empty() { 7 } else { names.len() };
+            let names = match unnamed {
+                true => (0..count).map(|joint| format!("joint_{joint}")).collect(),
+                false => names,
             };
             let joints = names
                 .into_iter()

@@ -53,10 +53,15 @@ pub(crate) struct Feature {
     pub(crate) dtype: String,
     #[serde(default)]
     names: serde_json::Value,
+    #[serde(default)]
+    shape: Vec<u64>,
 }
 
+/// More entries than this are no state.
+const MOST_ENTRIES: u64 = 4096;
+
 impl Feature {
-    /// Names of its entries, flattened from however they are nested.
+    /// Names of its entries, flattened from however they are nested; their numbers where there is not one for each.
     pub(crate) fn entry_names(&self) -> Vec<String> {
         fn flatten(value: &serde_json::Value, out: &mut Vec<String>) {
             match value {
@@ -68,7 +73,13 @@ impl Feature {
         }
         let mut names = Vec::new();
         flatten(&self.names, &mut names);
-        names
+        // Some writers name the whole, or nothing: the entries are then known by their numbers.
+        match self.shape[..] {
+            [count] if count != names.len() as u64 && count <= MOST_ENTRIES => {
+                (0..count).map(|entry| entry.to_string()).collect()
+            }
+            _ => names,
+        }
     }
 }
 
@@ -194,5 +205,14 @@ mod tests {
         assert_eq!(names(r#"{"dtype":"float32","names":[["a","b"]]}"#), ["a", "b"]);
         assert_eq!(names(r#"{"dtype":"float32","names":{"motors":["a"]}}"#), ["a"]);
         assert!(names(r#"{"dtype":"float32","names":null}"#).is_empty());
+        assert_eq!(names(r#"{"dtype":"float32","names":null,"shape":[2]}"#), ["0", "1"]);
+        assert_eq!(
+            names(r#"{"dtype":"float32","names":["state"],"shape":[3]}"#),
+            ["0", "1", "2"]
+        );
+        assert_eq!(
+            names(r#"{"dtype":"float32","names":["a","b"],"shape":[2]}"#),
+            ["a", "b"]
+        );
     }
 }

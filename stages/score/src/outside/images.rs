@@ -43,6 +43,18 @@ impl ImagePredictions {
             .collect()
     }
 
+    /// Cameras with colours that cannot be meant to lie in 0 to 1, and the largest.
+    pub(crate) fn beyond(&self) -> Vec<(&str, f32)> {
+        /// Renderers overshoot by less.
+        const MOST: f32 = 2.0;
+        let most = |own: &CameraImages| {
+            let values = own.rgb.iter().flatten().copied().filter(|value| value.is_finite());
+            values.fold(0.0, f32::max)
+        };
+        let all = self.cameras.iter().map(|(id, own)| (id.as_str(), most(own)));
+        all.filter(|(_, most)| *most > MOST).collect()
+    }
+
     /// Reads `frames [Q]` and per camera `rgb_ID [Q, H, W, 3]` (8 bit, or floats in 0 to 1), `depth_ID [Q, H, W]` and
     /// `displacement_ID [Q, H, W, 3]`, each of which may be missing. `None` when the folder has no such file.
     ///
