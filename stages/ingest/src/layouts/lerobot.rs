@@ -404,10 +404,13 @@ fn state_entries(dataset: &Dataset, choice: &StateColumns, path: &Path) -> Stage
         .filter_map(|name| Some((name.clone(), in_state(name)?)))
         .filter(|(_, place)| gripper.as_ref() != Some(place))
         .collect();
-    if joints.is_empty() {
-        return Err(wrong(path, "the data names no joint states")
-            .with_hint("under [ingest.states] of the manifest: joints = [\"ENTRY\", ...], the entries of `observation.state` that are the \
-             arm's joints"));
+    let unnamed = joints.iter().all(|(name, _)| name.parse::<u32>().is_ok());
+    if joints.is_empty() || (unnamed && choice.joint_names.is_empty()) {
+        return Err(wrong(path, "the data names no joint states").with_hint(format!(
+            "under [ingest.states] of the manifest: joints = [\"ENTRY\", ...], the entries of `{column}` that are the arm's \
+             joints, and joint_names = [...], their names in the URDF; it has {}",
+            state.join(", ")
+        )));
     }
     Ok((joints, gripper))
 }
