@@ -4,6 +4,8 @@
 
 use std::process::Command;
 
+use rogs_needs::needs;
+
 use crate::support::{ROGS, Workspace};
 
 #[test]
@@ -62,4 +64,65 @@ fn environments() {
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(!said.contains("panicked") && said.contains("error: "), "{said}");
     }
+}
+
+/// What some file systems do not have, and names that a shell or Slurm would take for something else.
+#[needs(cc)]
+#[test]
+fn every_stage_and_command_does_without_locks_below_any_name() {
+    const NAME: &str = "a b'c\"d 100%u #x $HOME `y` über";
+    let workspace = Workspace::small(1);
+    assert_eq!(workspace.rogs(&["run", "manifest.toml"]).status.code(), Some(0));
+    let library = workspace.path("without.so");
+    workspace.write("without.c", include_str!("../support/without_operations.c"));
+    let made = Command::new("cc").args(["-shared", "-fPIC", "-o"]).arg(&library);
+    let made = made.arg(workspace.path("without.c")).arg("-ldl").status();
+    assert!(made.unwrap().success());
+    let folder = workspace.path(NAME);
+    std::fs::create_dir(&folder).unwrap();
+    std::fs::rename(workspace.path("data"), folder.join("da ta")).unwrap();
+    let manifest = std::fs::read_to_string(workspace.path("manifest.toml")).unwrap();
+    let manifest = manifest
+        .replace("data/", "da ta/")
+        .replace(&format!("{:?}", workspace.path("run")), "\"r ü n\"");
+    std::fs::write(folder.join("m n.toml"), manifest).unwrap();
+    let rogs = |arguments: &[&str]| {
+        let mut command = Command::new(ROGS);
+        command.args(arguments).current_dir(&folder).env("LD_PRELOAD", &library);
+        let output = command.output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(0), "{arguments:?}: {said}");
+        assert!(!said.contains("panicked"), "{arguments:?}: {said}");
+        String::from_utf8_lossy(&output.stdout).into_owned() + &said
+    };
+    assert!(rogs(&["run", "m n.toml"]).contains("has no locks"));
+    let expected = workspace.outputs("run");
+    assert_eq!(workspace.outputs(&format!("{NAME}/r ü n")).len(), expected.len());
+    for (path, bytes) in expected {
+        assert!(
+            std::fs::read(folder.join("r ü n").join(&path)).unwrap() == bytes,
+            "{} differs",
+            path.display()
+        );
+    }
+    for command in ["status", "verify", "gc", "table", "report"] {
+        rogs(&[command, "r ü n"]);
+    }
+    rogs(&["plan", "m n.toml", "--emit", "jsonl"]);
+    assert!(rogs(&["doctor"]).contains("no lock on files, no flush of folders"));
+    // Commands that it prints are commands of a shell.
+    assert!(
+        rogs(&[
+            "synth",
+            "--episodes",
+            "1",
+            "--frames",
+            "17",
+            "--size",
+            "14x14",
+            "--out",
+            "x y"
+        ])
+        .contains("'x y/")
+    );
 }

@@ -11,6 +11,7 @@ mod cases;
 mod environments;
 mod files;
 mod images;
+mod kinds;
 mod manifests;
 mod names;
 mod places;

@@ -197,19 +197,8 @@ fn planning_and_looking_write_nothing() {
     assert_eq!(names(), before);
 }
 
-/// Makes every lock and every flush of a folder fail, as some network file systems do.
-const WITHOUT: &str = r#"
-#define _GNU_SOURCE
-#include <dlfcn.h>
-#include <errno.h>
-#include <sys/stat.h>
-int flock(int file, int how) { errno = ENOSYS; return -1; }
-int fsync(int file) {
-    struct stat status;
-    if (fstat(file, &status) == 0 && S_ISDIR(status.st_mode)) { errno = EINVAL; return -1; }
-    return ((int (*)(int))dlsym(RTLD_NEXT, "fsync"))(file);
-}
-"#;
+/// Makes every operation fail that some file systems do not have.
+const WITHOUT: &str = include_str!("../../../tests/support/without_operations.c");
 
 #[needs(cc)]
 #[test]

@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use rogs_orchestrator::executor::{RunOptions, RunSummary};
 use rogs_orchestrator::manifest::MOST_WORKERS;
 use rogs_orchestrator::programs::StagePrograms;
+use rogs_orchestrator::quote::shell_word;
 use rogs_orchestrator::{Exit, Interrupts, Prepared};
 use rogs_report::write_report;
 use rogs_schemas::protocol::MOST_THREADS;
@@ -132,7 +133,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     if outcome.summary.exit == Exit::Stopped {
         output::note(&format!(
             "stopped; finished outputs are kept. Resume with: rogs run {}",
-            args.manifest.display()
+            shell_word(&args.manifest.display().to_string())
         ));
     }
     Ok(ExitCode::from(outcome.summary.exit.code()))

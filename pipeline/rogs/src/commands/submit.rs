@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use rogs_orchestrator::quote::shell_word;
 use rogs_orchestrator::slurm::submit;
 
 use super::run::Machine;
@@ -36,7 +37,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         output::after_work(output::text(&format!("submitted: {}", submission.ids.join(", "))))?;
         output::note(&format!(
             "rogs status {} shows the progress",
-            prepared.plan.run.display()
+            shell_word(&prepared.plan.run.display().to_string())
         ));
     }
     Ok(ExitCode::SUCCESS)

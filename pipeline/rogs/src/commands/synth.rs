@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context as _;
+use rogs_orchestrator::quote::shell_word;
 use rogs_schemas::records::robot::RobotSpec;
 use rogs_synth::{
     DatasetSummary, Distortions, EPISODES_FOLDER, ROBOT_FOLDER, ROBOT_SPEC_FILE, ROBOT_URDF_FILE, Resolution,
@@ -121,7 +122,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
             summary.episodes.len(),
             summary.frames,
             summary.written,
-            manifest.display()
+            shell_word(&manifest.display().to_string())
         ))?;
     }
     Ok(ExitCode::SUCCESS)

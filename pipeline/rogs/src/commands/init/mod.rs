@@ -11,6 +11,7 @@ use anyhow::{Context as _, bail};
 use clap::CommandFactory as _;
 use rogs_ingest::{EpisodeListing, EpisodeOutline, count_frames, list_episodes, list_references, outline};
 use rogs_orchestrator::Error;
+use rogs_orchestrator::quote::shell_word;
 use rogs_schemas::ids::safe_name;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -184,7 +185,7 @@ impl Written {
         lines.extend(self.missing.iter().map(|missing| format!("missing: {missing}")));
         lines.push(format!(
             "next: rogs plan {0}, then rogs run {0}",
-            self.manifest.display()
+            shell_word(&self.manifest.display().to_string())
         ));
         lines.join("\n")
     }

@@ -4,13 +4,14 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use rogs_lift::BUILTIN_SIZE;
+use rogs_orchestrator::quote::shell_word;
 use rogs_schemas::robots::{DEFAULT_PRESET, PRESETS};
 
 use super::{Found, how_to_calibrate};
 
 /// The manifest for what was found; `path` is where it will lie.
 pub(super) fn manifest(found: &Found, path: &Path) -> String {
-    let file = path.file_name().unwrap_or_default().to_string_lossy();
+    let file = shell_word(&path.file_name().unwrap_or_default().to_string_lossy());
     let mut text = format!(
         "# {} episodes ({}), written by `rogs init`.\n#\n\
          #   rogs plan {file}     what will be made, with which weights, how long it takes\n\
