@@ -472,3 +472,27 @@ fn colours_are_forced_and_switched_off_by_the_environment() {
     );
     assert!(said("NO_COLOR").starts_with("error: "), "{}", said("NO_COLOR"));
 }
+
+/// Every URDF of `example-robot-data` in random states: all links as pinocchio has them, to 1e-9.
+#[needs(pinocchio)]
+#[test]
+fn link_poses_of_public_robots_are_those_of_pinocchio() {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/robots/compare_with_pinocchio.py");
+    let python = std::env::var("ROGS_PEER_PYTHON").unwrap_or_else(|_| "python3".into());
+    let output = Command::new(python)
+        .arg(script)
+        .args(["--states", "2", "--rogs", &format!("'{ROGS}' fk")])
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}{}",
+        text(&output.stdout),
+        text(&output.stderr)
+    );
+    assert!(
+        text(&output.stdout).contains(" robots, 0 fail"),
+        "{}",
+        text(&output.stdout)
+    );
+}

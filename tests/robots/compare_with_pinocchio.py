@@ -106,7 +106,7 @@ def compare(urdf, command, count, picture):
     if done.returncode:
         return "rogs refuses", None, 0, done.stderr.strip()
     worst, links = 0.0, 0
-    for state, row in zip(states, json.loads(done.stdout)):
+    for state, row in zip(states, json.loads(done.stdout)["items"]):
         expected = poses_of_pinocchio(model, joints, state)
         links = len(row["links"])
         if set(row["links"]) != set(expected):

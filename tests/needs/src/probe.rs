@@ -25,6 +25,10 @@ pub(crate) fn missing(need: &str, why: &str) -> Result<Option<String>, String> {
         "numpy" => unless(imports("numpy"), "needs Python with numpy (ROGS_PEER_PYTHON)"),
         "pillow" => unless(imports("PIL"), "needs Python with Pillow (ROGS_PEER_PYTHON)"),
         "opencv" => unless(imports("cv2"), "needs Python with OpenCV (ROGS_PEER_PYTHON)"),
+        "pinocchio" => unless(
+            imports("pinocchio, example_robot_data"),
+            "needs Python with pinocchio and example-robot-data (ROGS_PEER_PYTHON)",
+        ),
         "zstandard" => unless(imports("zstandard"), "needs Python with zstandard (ROGS_PEER_PYTHON)"),
         "cc" => unless(on_path("cc"), "needs a C compiler (cc)"),
         "qemu" => unless(
