@@ -159,7 +159,7 @@ fn tables_and_descriptions_as_programs_write_them() {
     });
     let latin = Failure("joints.csv`: it is no UTF-8 text", "save it as UTF-8");
     table(&mut cases, "latin", latin, |text| {
-        [b"zeit\xe4,", text.as_bytes()].concat()
+        [b"zeit\xe4,".as_slice(), text.as_bytes()].concat()
     });
     let description = |cases: &mut Cases, name: &str, said: Said, change: fn(&str) -> String| {
         let path = cases.add(name, said).join("episode.json");
@@ -168,12 +168,8 @@ fn tables_and_descriptions_as_programs_write_them() {
     };
     // These cannot be listed by the name that they have inside: they are called by their folders.
     description(&mut cases, "json-mark", Nothing, |text| format!("\u{feff}{text}"));
-    for (name, words, change) in [
-        (
-            "json-cut",
-            "it ends in the middle",
-            (|text| text[..200].to_owned()) as fn(&str) -> String,
-        ),
+    let damages: [(&str, &str, fn(&str) -> String); 7] = [
+        ("json-cut", "it ends in the middle", |text| text[..200].to_owned()),
         (
             "json-empty",
             "episode.json`: not an episode description: it is empty",
@@ -192,7 +188,8 @@ fn tables_and_descriptions_as_programs_write_them() {
             text.replacen("\"width\"", "\"distortion\":[0.1],\"width\"", 1)
         }),
         ("json-list", "it is a list, expected an object", |_| "[]".to_owned()),
-    ] {
+    ];
+    for (name, words, change) in damages {
         description(&mut cases, name, Failure(words, "docs/episode-format.md"), change);
     }
     cases.check();
