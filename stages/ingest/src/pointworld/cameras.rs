@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use rogs_schemas::RigidPose;
 use rogs_schemas::records::clip::CameraRole;
+use rogs_schemas::{RigidPose, WrittenPose};
 use rogs_worker::StageResult;
 use serde::Deserialize;
 use serde_json::Value;
@@ -70,8 +70,8 @@ pub(super) fn join(path: &Path, source: &mut Source, params: &PointWorldParams) 
             continue;
         };
         let what = format!("`optimized_extrinsics` of `{serial}`");
-        let matrix: [[f64; 4]; 4] =
-            serde_json::from_value(matrix.clone()).map_err(|error| wrong(path, format!("{what}: {error}")))?;
+        let written = WrittenPose::from_json(matrix)
+            .map_err(|expected| wrong(path, format!("{what}: not a pose")).with_hint(expected))?;
         let Some(index) = camera_of(source, serial) else {
             let known = serials(source);
             source.warnings.push(format!(
@@ -84,7 +84,7 @@ pub(super) fn join(path: &Path, source: &mut Source, params: &PointWorldParams) 
         if matches!(own, SourceMount::HandEye { .. }) {
             continue; // moves with the robot: one pose says nothing
         }
-        let pose = base_from_camera(&matrix, &what, own, path)?;
+        let pose = base_from_camera(&written, &what, own, path)?;
         if let Some(other) = stands_at(&measured, index, &pose) {
             let other = &source.cameras[other];
             let other = other.serial.as_deref().unwrap_or(&other.id);

@@ -109,10 +109,10 @@ fn serials(source: &Source) -> String {
     source.cameras.iter().map(name).collect::<Vec<_>>().join(", ")
 }
 
-/// Camera-to-base of a base-to-camera matrix, as PointWorld keeps poses. `own` is what the episode says of the camera: a
+/// Camera-to-base of a base-to-camera pose, as PointWorld keeps poses. `own` is what the episode says of the camera: a
 /// matrix that fits it only the other way round is refused.
-fn base_from_camera(matrix: &[[f64; 4]; 4], what: &str, own: &SourceMount, path: &Path) -> StageResult<RigidPose> {
-    let stored = crate::checks::rigid_pose(&WrittenPose::Matrix(*matrix), what, path)?;
+fn base_from_camera(written: &WrittenPose, what: &str, own: &SourceMount, path: &Path) -> StageResult<RigidPose> {
+    let stored = crate::checks::rigid_pose(written, what, path)?;
     let inverted = inverse(&stored, what, path)?;
     if let SourceMount::Fixed(own) = own {
         if !near(&inverted, own) && near(&stored, own) {

@@ -11,7 +11,7 @@ use glam::Vec3;
 use rogs_arrays::ArrayFile;
 use rogs_field::ply::read_ply_file;
 use rogs_geometry::{Base, Camera, Frame, Pose, Similarity};
-use rogs_schemas::{CameraIndex, FrameIndex, RigidPose};
+use rogs_schemas::{CameraIndex, FrameIndex, WrittenPose};
 use rogs_splat::Gaussians;
 use serde::{Deserialize, Serialize};
 
@@ -284,14 +284,13 @@ fn own_pose(file: &ArrayFile) -> Result<Option<Pose<Base, Left>>, OutsideError> 
         return Ok(None);
     };
     array.expect_shape(file.path(), &[&[4, 4], &[3, 4]])?;
-    let m: Vec<f64> = array.into_floats().into_iter().map(f64::from).collect();
-    let stored = RigidPose {
-        rotation: [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]],
-        translation: [m[3], m[7], m[11]],
-    };
-    let pose = Pose::from_rigid(&stored).map_err(|_| {
-        let what = "`base_from_field` is not a rigid transform (rotation of determinant +1, translation in metres)";
-        OutsideError::file(file.path(), what)
-    })?;
+    let numbers: Vec<f64> = array.into_floats().into_iter().map(f64::from).collect();
+    let written = WrittenPose::from_numbers(&numbers);
+    let pose = written
+        .and_then(|written| Pose::from_written(&written).ok())
+        .ok_or_else(|| {
+            let what = "`base_from_field` is not a rigid transform (rotation of determinant +1, translation in metres)";
+            OutsideError::file(file.path(), what)
+        })?;
     Ok(Some(pose))
 }

@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 
 use rogs_geometry::{Camera, Link, Pose};
-use rogs_schemas::RigidPose;
+use rogs_schemas::{RigidPose, WrittenPose};
 use rogs_worker::StageResult;
 use serde_json::Value;
 
-use super::tables::{Tables, Wanted, numbers};
+use super::tables::{Tables, Wanted};
 use crate::checks;
 use crate::params::Quality;
 
@@ -37,12 +37,10 @@ pub(super) fn of_camera(
         let Some(value) = keys.iter().find_map(|key| entry.get(key)) else {
             continue;
         };
-        let numbers = numbers(value.get("extrinsics").unwrap_or(value));
         let what = format!("the pose of camera {serial} of `{uuid}`");
-        let Some(Ok(six)) = numbers.map(<[f64; 6]>::try_from) else {
-            return Err(tables.wrong(name, format!("{what} is not a list of 6 numbers")));
-        };
-        let pose = checks::euler_pose(&six, &what, &tables.path(name))?;
+        let written = WrittenPose::from_json(value.get("extrinsics").unwrap_or(value))
+            .map_err(|expected| tables.wrong(name, format!("{what} is not a pose")).with_hint(expected))?;
+        let pose = checks::rigid_pose(&written, &what, &tables.path(name))?;
         let quality = quality(&entry, value, serial);
         match asked.iter().find_map(|(key, asked)| asked.misses(key, &quality)) {
             Some(why) => found
@@ -89,14 +87,14 @@ pub(super) fn hand_eye(
     };
     let Some((_, entry)) = found else { return Ok(None) };
     let what = format!("the hand-eye of {by}");
-    let rows = entry.get("mean_mat").and_then(Value::as_array);
-    let flat: Option<Vec<f64>> = rows.map(|rows| rows.iter().filter_map(numbers).flatten().collect());
-    let Some(Ok(flat)) = flat.map(<[f64; 16]>::try_from) else {
-        return Err(tables.wrong(HAND_EYES, format!("{what} has no 4x4 matrix `mean_mat`")));
-    };
+    let written = WrittenPose::from_json(entry.get("mean_mat").unwrap_or(&Value::Null)).map_err(|expected| {
+        tables
+            .wrong(HAND_EYES, format!("{what} has no pose `mean_mat`"))
+            .with_hint(expected)
+    })?;
     // The file maps points of the flange to the camera.
-    let camera_from_link: Pose<Camera, Link> =
-        Pose::from_matrix4(&flat).map_err(|error| tables.wrong(HAND_EYES, format!("{what} is not rigid: {error}")))?;
+    let camera_from_link: Pose<Camera, Link> = Pose::from_written(&written)
+        .map_err(|error| tables.wrong(HAND_EYES, format!("{what} is not rigid: {error}")))?;
     Ok(Some((camera_from_link.inverse().orthonormalized(), by)))
 }
 
