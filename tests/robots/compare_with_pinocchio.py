@@ -125,7 +125,10 @@ def main():
     arguments = parser.parse_args()
     folder = arguments.folder
     if folder is None:
-        (folder,) = (p / "share/example-robot-data" for p in map(pathlib.Path, sys.path) if (p / "share/example-robot-data").is_dir()) or (None,)
+        above = (parent for place in sys.path for parent in (pathlib.Path(place), *pathlib.Path(place).parents))
+        folder = next((p for p in (place / "share/example-robot-data" for place in above) if p.is_dir()), None)
+    if folder is None:
+        parser.error("example-robot-data is not installed: name a FOLDER")
     command = shlex.split(arguments.rogs)
     bad = worst = 0
     robots = sorted(folder.rglob("*.urdf"))
