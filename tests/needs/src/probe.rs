@@ -6,6 +6,10 @@ use std::process::{Command, Stdio};
 /// Programs that a Slurm of its own is made of.
 const SLURM: [&str; 5] = ["munged", "slurmctld", "slurmd", "sbatch", "sinfo"];
 
+/// The package, and the robots that come as data without a module.
+const PINOCCHIO_AND_ROBOTS: &str = "pinocchio, sys, pathlib; above = [q for p in sys.path for q in pathlib.Path(p).parents]; \
+     assert any((p / 'share/example-robot-data').is_dir() for p in above)";
+
 /// Why a need is not met, or `None` when it is; `why` is what the test says of a long run.
 ///
 /// # Errors
@@ -26,7 +30,7 @@ pub(crate) fn missing(need: &str, why: &str) -> Result<Option<String>, String> {
         "pillow" => unless(imports("PIL"), "needs Python with Pillow (ROGS_PEER_PYTHON)"),
         "opencv" => unless(imports("cv2"), "needs Python with OpenCV (ROGS_PEER_PYTHON)"),
         "pinocchio" => unless(
-            imports("pinocchio, example_robot_data"),
+            imports(PINOCCHIO_AND_ROBOTS),
             "needs Python with pinocchio and example-robot-data (ROGS_PEER_PYTHON)",
         ),
         "zstandard" => unless(imports("zstandard"), "needs Python with zstandard (ROGS_PEER_PYTHON)"),
