@@ -320,6 +320,38 @@ mod tests {
     }
 
     #[test]
+    fn packages_of_clones_and_installed_workspaces_are_found() {
+        let outer = tree(&[
+            "ws/src/arm-main/package.xml",
+            "ws/src/arm-main/urdf/x.urdf",
+            "ws/src/gripper-fork/package.xml",
+            "ws/src/gripper-fork/meshes/a.stl",
+            "ws/install/arm/share/arm/package.xml",
+            "ws/install/arm/share/arm/urdf/x.urdf",
+            "ws/install/hand/share/hand/package.xml",
+            "ws/install/hand/share/hand/meshes/a.stl",
+        ]);
+        let described = "<?xml version=\"1.0\"?><package format=\"3\">\n  <name> gripper_description </name></package>";
+        std::fs::write(outer.path().join("ws/src/gripper-fork/package.xml"), described).unwrap();
+        for (urdf, reference, place) in [
+            (
+                "ws/src/arm-main/urdf/x.urdf",
+                "package://gripper_description/meshes/a.stl",
+                "ws/src/gripper-fork/meshes/a.stl",
+            ),
+            (
+                "ws/install/arm/share/arm/urdf/x.urdf",
+                "package://hand/meshes/a.stl",
+                "ws/install/hand/share/hand/meshes/a.stl",
+            ),
+        ] {
+            let folder = RobotFolder::with_search_path(&outer.path().join(urdf), Vec::new()).unwrap();
+            assert!(folder.resolve(reference).unwrap().ends_with(place), "{reference}");
+            assert!(folder.resolve("package://gripper/meshes/a.stl").is_err());
+        }
+    }
+
+    #[test]
     fn packages_are_found_where_ros_tools_find_them() {
         let outer = tree(&[
             "ws/src/arm/arm_description/package.xml",

@@ -1,5 +1,6 @@
 //! Where ROS packages are looked for.
 
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use super::LEVELS;
@@ -28,6 +29,37 @@ pub(super) fn is_package(folder: &Path) -> bool {
     folder.join("package.xml").is_file()
 }
 
+/// The package in a folder whose `package.xml` has a name, whatever its own folder is called; the first by name.
+fn called(folder: &Path, name: &str) -> Option<PathBuf> {
+    let entries = std::fs::read_dir(folder).ok()?.take(MOST_FOLDERS);
+    let mut folders: Vec<PathBuf> = entries
+        .flatten()
+        .map(|entry| entry.path())
+        .filter(|path| is_package(path))
+        .collect();
+    folders.sort();
+    let has_name = |folder: &PathBuf| {
+        let text = describes(&folder.join("package.xml")).unwrap_or_default();
+        let own = text
+            .split_once("<name>")
+            .and_then(|(_, rest)| rest.split_once("</name>"));
+        own.is_some_and(|(own, _)| own.trim() == name)
+    };
+    folders.into_iter().find(has_name)
+}
+
+/// The beginning of a `package.xml`, where names stand.
+fn describes(path: &Path) -> Option<String> {
+    const LONGEST: u64 = 64 << 10;
+    let mut bytes = Vec::new();
+    std::fs::File::open(path)
+        .ok()?
+        .take(LONGEST)
+        .read_to_end(&mut bytes)
+        .ok()?;
+    Some(String::from_utf8_lossy(&bytes).into_owned())
+}
+
 /// The folders that a package may be, the likeliest first.
 pub(super) fn folders(name: &str, here: &Path, root: &Path, search: &[PathBuf]) -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> = Vec::new();
@@ -44,6 +76,15 @@ pub(super) fn folders(name: &str, here: &Path, root: &Path, search: &[PathBuf]) 
         let near = Some(above) == root.parent() || above.starts_with(root);
         if is_package(&beside) || (near && beside.is_dir()) {
             found.push(beside);
+        }
+        // A workspace of ROS 2 installs every package below a folder of its own.
+        let installed = above.join(name).join("share").join(name);
+        if is_package(&installed) {
+            found.push(installed);
+        }
+        // A clone may be called otherwise than the package in it.
+        if Some(above) == root.parent() {
+            found.extend(called(above, name));
         }
         if above.file_name().is_some_and(|own| own == "src") {
             found.extend(below(above, name));
