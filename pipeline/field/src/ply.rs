@@ -65,6 +65,7 @@ pub fn read_ply(bytes: &[u8]) -> Result<PlyScene> {
     let names = [
         "x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
     ];
+    header.refuse_filters()?;
     let mut offsets = [Property::NONE; 11];
     for (offset, name) in offsets.iter_mut().zip(names) {
         *offset = header.real(name)?;

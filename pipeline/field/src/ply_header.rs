@@ -187,6 +187,18 @@ impl Header {
         }
     }
 
+    /// Refuses sizes that another program changes before it draws them.
+    pub(crate) fn refuse_filters(&self) -> Result<()> {
+        match self.properties.contains_key("filter_3D") {
+            true => Err(wrong(
+                "`filter_3D` of Mip-Splatting changes sizes and opacities and is not applied: fuse it into them first (its \
+                 `create_fused_ply.py`)"
+                    .to_owned(),
+            )),
+            false => Ok(()),
+        }
+    }
+
     /// The three properties of the base colour: harmonics, or bytes where there are only these.
     pub(crate) fn colours(&self) -> Result<[Property; 3]> {
         if self.properties.contains_key("f_dc_0") || !self.properties.contains_key("red") {

@@ -230,11 +230,13 @@ fn forms_that_are_not_read_are_named_with_a_way_on() {
         .copied()
         .chain([("float", "red"), ("float", "green"), ("float", "blue")])
         .collect::<Vec<_>>();
+    let filtered: Vec<_> = shape.iter().copied().chain([("float", "filter_3D")]).collect();
     for (file, words) in [
         (foreign(&packed, &[0; 8]), "element `chunk`"),
         (chunk, "promises more"),
         (foreign(&shape, &[0; 44]), "`f_dc_0` is missing"),
         (foreign(&wide, &[0; 56]), "sh_coeffs"),
+        (foreign(&filtered, &[0; 48]), "`filter_3D` of Mip-Splatting"),
         (
             foreign(&[("float", "x"), ("float", "nx")], &[0; 8]),
             "this one has x, nx",

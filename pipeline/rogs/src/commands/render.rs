@@ -119,6 +119,7 @@ struct Moment {
 type WritePly<'a> = dyn FnMut(&Path) -> anyhow::Result<()> + 'a;
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    refuse_other_splats(&args.scene)?;
     if !is_ply(&args.scene) {
         let wanted = Wanted {
             refinement: args.refinement.as_deref(),
@@ -162,6 +163,22 @@ const USUAL_SIZE: (u32, u32) = (640, 352);
 fn is_ply(path: &Path) -> bool {
     let ending = path.extension();
     ending.is_some_and(|ending| ending.eq_ignore_ascii_case("ply"))
+}
+
+/// Refuses scenes of Gaussians in forms of other programs by name.
+fn refuse_other_splats(path: &Path) -> anyhow::Result<()> {
+    const OTHERS: [&str; 6] = ["splat", "ksplat", "spz", "sog", "sogs", "ckpt"];
+    let ending = path.extension().map(|ending| ending.to_ascii_lowercase());
+    let other = OTHERS
+        .iter()
+        .find(|other| ending.as_ref().is_some_and(|own| *own == **other));
+    match other {
+        None => Ok(()),
+        Some(other) => bail!(
+            "`{}`: files `.{other}` are not read; export the scene as PLY of Gaussians (SuperSplat and splat-transform do)",
+            path.display()
+        ),
+    }
 }
 
 /// What is asked of a field.
