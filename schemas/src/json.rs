@@ -105,8 +105,9 @@ fn fault(text: &str, error: &Error) -> String {
         Category::Data => {
             let what = error.to_string();
             let what = what.split(" at line ").next().unwrap_or_default();
-            // What is missing has no place.
-            let key = key_before(text, error).filter(|_| !what.starts_with("missing"));
+            // What is missing has no place, and what is unknown names itself.
+            let names_itself = what.starts_with("missing ") || what.starts_with("unknown ");
+            let key = key_before(text, error).filter(|_| !names_itself);
             let key = key.map_or_else(String::new, |key| format!("`{key}`, "));
             format!("{key}{place}: {}", in_our_words(what))
         }

@@ -184,7 +184,7 @@ fn tables_and_descriptions_as_programs_write_them() {
         ("json-text", "`frame_count`, line 1", |text| {
             text.replace("\"frame_count\":17", "\"frame_count\":\"17\"")
         }),
-        ("json-field", "`distortion` is not known here", |text| {
+        ("json-field", "unknown field `distortion`", |text| {
             text.replacen("\"width\"", "\"distortion\":[0.1],\"width\"", 1)
         }),
         ("json-list", "it is a list, expected an object", |_| "[]".to_owned()),
@@ -228,10 +228,7 @@ fn frames_and_depth_as_programs_write_them_and_what_is_no_data() {
         .add("copies", Failure("it has 18 PNG files", "`000000 (1).png`"))
         .join("ext1");
     std::fs::copy(copies.join("000000.png"), copies.join("000000 (1).png")).unwrap();
-    let gap = Failure(
-        "do not end in numbers without a gap",
-        "behind `000015.png` comes `000017.png`",
-    );
+    let gap = Failure("`000016.png` is missing", "behind `000015.png` comes `000017.png`");
     let gap = cases.add("gap", gap).join("ext1");
     std::fs::rename(gap.join("000016.png"), gap.join("000017.png")).unwrap();
 

@@ -1,7 +1,6 @@
 //! Image sequences: a folder of PNG files or a video.
 
 use std::collections::BTreeSet;
-use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 
 use image::{ColorType, DynamicImage};
@@ -206,7 +205,14 @@ fn frames_of(folder: &Path, frame_count: u32) -> StageResult<Vec<PathBuf>> {
         }
     }
     frames.sort();
-    let follow = |pair: &[(String, u32, String)]| pair[0].0 == pair[1].0 && pair[0].1.checked_add(1) == Some(pair[1].1);
+    let follow = |pair: &[(String, u32, String)]| {
+        // Numbers are all padded to one length, or none is padded.
+        let padded = pair
+            .iter()
+            .any(|(stem, _, name)| name[stem.len()..].starts_with('0') && pair[0].1 > 0);
+        let alike = !padded || pair[0].2.len() == pair[1].2.len();
+        alike && pair[0].0 == pair[1].0 && pair[0].1.checked_add(1) == Some(pair[1].1)
+    };
     if frames.len() == frame_count as usize && others.is_empty() && frames.windows(2).all(follow) {
         return Ok(frames.into_iter().map(|(.., name)| folder.join(name)).collect());
     }
@@ -215,13 +221,22 @@ fn frames_of(folder: &Path, frame_count: u32) -> StageResult<Vec<PathBuf>> {
             .iter()
             .filter(|name| name.to_lowercase().ends_with(".png"))
             .count();
-    let what = if found == frame_count as usize {
-        "the names of its PNG files do not end in numbers without a gap".to_owned()
-    } else {
-        format!("it has {found} PNG files, the episode {frame_count} frames")
+    let have: BTreeSet<&str> = frames.iter().map(|(.., name)| name.as_str()).collect();
+    let (there, missing): (Vec<String>, Vec<String>) = (0..frame_count)
+        .map(|frame| numbered(frame, "png"))
+        .partition(|name| have.contains(name.as_str()));
+    let more = match missing.first().filter(|_| !there.is_empty()) {
+        Some(missing) => format!("; `{missing}` is missing"),
+        None if there.is_empty() && found == frame_count as usize => {
+            ", whose names do not end in numbers without a gap".to_owned()
+        }
+        None => String::new(),
     };
     others.sort();
-    let error = wrong(folder, what);
+    let error = wrong(
+        folder,
+        format!("it has {found} PNG files, the episode {frame_count} frames{more}"),
+    );
     let usual = format!("frames are {}, {}, ...", numbered(0, "png"), numbered(1, "png"));
     Err(match (others.first(), frames.windows(2).find(|pair| !follow(pair))) {
         (Some(other), _) => error.with_hint(format!(
@@ -345,6 +360,11 @@ mod tests {
         for (names, words) in [
             (&["0.png", "1.png"][..], "it has 2 PNG files, the episode 3 frames"),
             (&["0.png", "1.png", "3.png"], "behind `1.png` comes `3.png`"),
+            (
+                &["000000.png", "000001.png", "2.png"],
+                "3 frames; `000002.png` is missing",
+            ),
+            (&["000000.png", "000001.png", "000003.png"], "`000002.png` is missing"),
             (&["a0.png", "a1.png", "b2.png"], "do not end in numbers"),
             (&["0.png", "1.png", "2.png", "2 copy.png"], "it also holds `2 copy.png`"),
             (&["0.jpg", "1.jpg", "2.jpg"], "it also holds `0.jpg` and 2 more images"),

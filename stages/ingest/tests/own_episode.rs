@@ -297,11 +297,17 @@ fn damaged_images_and_arrays_name_the_file() {
     let missing = said("missing", |folder| {
         std::fs::remove_file(folder.join("ext1/000004.png")).unwrap()
     });
-    assert_eq!(missing, "`EP/ext1`: it has 19 PNG files, the episode 20 frames");
+    assert_eq!(
+        missing,
+        "`EP/ext1`: it has 19 PNG files, the episode 20 frames; `000004.png` is missing"
+    );
     let renamed = said("renamed", |folder| {
         std::fs::rename(folder.join("ext1/000004.png"), folder.join("ext1/4.png")).unwrap()
     });
-    assert_eq!(renamed, "`EP/ext1/000004.png`: the file is missing");
+    assert_eq!(
+        renamed,
+        "`EP/ext1`: it has 20 PNG files, the episode 20 frames; `000004.png` is missing"
+    );
     let cut = said("cut-png", |folder| {
         let path = folder.join("wrist/000009.png");
         let bytes = std::fs::read(&path).unwrap();

@@ -356,10 +356,7 @@ fn state_entries(dataset: &Dataset, choice: &StateColumns, path: &Path) -> Stage
         .filter(|name| !name.is_empty());
     let known: Vec<&str> = state.iter().map(String::as_str).collect();
     if let Some(unknown) = unknown(asked.map(String::as_str), &known) {
-        let text = format!(
-            "`{column}` has no entry {unknown}; it has {}",
-            known.join(", ")
-        );
+        let text = format!("`{column}` has no entry {unknown}; it has {}", known.join(", "));
         return Err(StageError::bad_params(text)
             .with_hint("`joints` and `gripper` under [ingest.states] of the manifest name them"));
     }
