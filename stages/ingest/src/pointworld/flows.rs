@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use rogs_arrays::ANY;
-use rogs_schemas::EpisodeFrame;
+use rogs_schemas::{EpisodeFrame, WrittenPose};
 use rogs_worker::StageResult;
 
 use super::clips::{CANONICAL_STEP, Clip, Clips, Numbers};
@@ -233,7 +233,12 @@ impl View {
         let rows = [0, 4, 8, 12].map(|row| [e[row], e[row + 1], e[row + 2], e[row + 3]]);
         let camera = &source.cameras[index];
         // Refuses what is not rigid, is not in metres, or fits the episode's camera only when it is inverted.
-        base_from_camera(&rows, &format!("`{}/{name}/extrinsic`", clip.name), &camera.mount, path)?;
+        base_from_camera(
+            &WrittenPose::Matrix(rows),
+            &format!("`{}/{name}/extrinsic`", clip.name),
+            &camera.mount,
+            path,
+        )?;
         let image = clips.numbers(clip, Some(name), "initial_depth", &[ANY, ANY])?;
         let (height, width) = (image.shape[0] as f64, image.shape[1] as f64);
         let scale = [f64::from(camera.width) / width, f64::from(camera.height) / height];
