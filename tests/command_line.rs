@@ -460,6 +460,8 @@ fn colours_are_forced_and_switched_off_by_the_environment() {
     let said = |variable: &str| {
         let output = Command::new(ROGS)
             .args(["status", "nowhere"])
+            .env_remove("NO_COLOR")
+            .env_remove("CLICOLOR_FORCE")
             .env(variable, "1")
             .output()
             .unwrap();

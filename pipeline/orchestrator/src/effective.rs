@@ -148,6 +148,9 @@ fn fill(tree: &mut Value, manifest: &Manifest, programs: &StagePrograms, options
             *place = value;
         }
     }
+    if let StagePrograms::Directory(folder) = programs {
+        tree["executor"]["programs"] = folder.display().to_string().into();
+    }
     tree["executor"]["workers"] = options.workers.into();
     tree["executor"]["threads"] = options.threads.into();
     Ok(())

@@ -23,6 +23,7 @@
 //! | `plan --emit jsonl` | [`export::export`] | [`export::Export`] |
 //! | `submit` (Slurm) | [`slurm::submit`] | [`slurm::Submission`] |
 //! | `gc`, `diff`, `logs` | [`gc::collect`], [`diff::diff`], [`logs::logs`] | [`gc::Collected`], [`diff::Difference`], `[Attempt]` |
+//! | `config show` | [`effective::effective`] | `[EffectiveValue]` |
 //! | `schema` | [`editor::manifest_schema`] | the JSON schema itself |
 //!
 //! Every failure of the orchestrator is an [`Error`] with [`Error::hint`] and [`Error::exit`]; failures of clips are values.
