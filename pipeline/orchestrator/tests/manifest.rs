@@ -216,6 +216,12 @@ fn filters_take_and_leave_out() {
     assert_eq!(ids("include = [\"?\"]\nlimit = 2\n"), ["a", "b"]);
     workspace.write("toy.toml", &format!("{base}include = [\"z*\"]\n"));
     assert!(told(&workspace).0.contains("no episode in"));
+    workspace.write("toy.toml", &format!("{base}include = [\"a\", \"bb\", \"zebra\"]\n"));
+    let message = told(&workspace).0;
+    assert!(
+        message.contains("has no episode `bb` (did you mean `b`?), `zebra`"),
+        "{message}"
+    );
 }
 
 #[test]

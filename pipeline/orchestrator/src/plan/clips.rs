@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use rayon::prelude::*;
-use rogs_schemas::ids::did_you_mean;
+use rogs_schemas::ids::{did_you_mean, unknown};
 use rogs_schemas::selection::Selection;
 use rogs_schemas::{ClipId, ContentHash};
 use serde_json::Map;
@@ -86,6 +86,7 @@ pub(super) fn add_clips(
     }
     if let Some(input) = &manifest.input {
         let listing = listings.of(text, At::key("input").then("root"), &input.root)?;
+        included(input, listing, text)?;
         asked.extend(match &input.selection {
             None => filter(input, listing),
             Some(path) => {
@@ -360,6 +361,31 @@ fn folder_of(root: &Path, listed: &ListedEpisode) -> PathBuf {
         .filter(|part| matches!(part, std::path::Component::Normal(_)));
     inside.fold(root.to_owned(), |path, part| path.join(part))
 }
+
+/// Refuses names in `include` that no episode has: who leaves an episode out by a misspelt name would not notice.
+fn included(input: &Input, listing: &Listing, text: &Text) -> Result<()> {
+    let mut names = Patterns::new(&input.include).names;
+    if names.is_empty() {
+        return Ok(());
+    }
+    let known: Vec<String> = listing.episodes.iter().flat_map(|listed| listed.names()).collect();
+    for name in &known {
+        names.remove(name.as_str());
+    }
+    let mut names: Vec<&str> = names.into_iter().collect();
+    names.sort_unstable();
+    names.truncate(MOST_NAMED);
+    let known: Vec<&str> = known.iter().map(String::as_str).collect();
+    let Some(unknown) = unknown(names, &known) else {
+        return Ok(());
+    };
+    let message = format!("`{}` has no episode {unknown}", input.root.display());
+    let error = text.error(At::key("input").then("include"), message);
+    Err(error.with_hint("`rogs list FOLDER` shows their ids; `*` and `?` stand for other characters"))
+}
+
+/// Most unknown episodes that an error names.
+const MOST_NAMED: usize = 8;
 
 /// The episodes that an `[input]` table takes.
 fn filter<'a>(input: &'a Input, listing: &Listing) -> Vec<Asked<'a>> {
