@@ -67,7 +67,9 @@ pub fn did_you_mean<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str
         .collect();
     scored.sort_by_key(|&(distance, _)| distance);
     let &(nearest, candidate) = scored.first()?;
-    let alone = scored.get(1).is_none_or(|&(second, _)| second > nearest);
+    // The same name twice is one name.
+    let mut others = scored.iter().filter(|(_, other)| *other != candidate);
+    let alone = others.next().is_none_or(|&(second, _)| second > nearest);
     (alone && nearest <= 1 + word.chars().count() / 4).then_some(candidate)
 }
 
@@ -235,6 +237,7 @@ mod tests {
         assert_eq!(did_you_mean("ROOT", ["root", "calibration"]), Some("root"));
         assert_eq!(did_you_mean("zebra", ["root", "calibration"]), None);
         assert_eq!(did_you_mean("a", ["b", "c"]), None, "either");
+        assert_eq!(did_you_mean("rot", ["root", "root"]), Some("root"), "one name");
         assert_eq!(
             suggestion("left_fingr", ["left_finger", "waist"]),
             "; did you mean `left_finger`?"

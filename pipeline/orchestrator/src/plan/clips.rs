@@ -368,14 +368,17 @@ fn included(input: &Input, listing: &Listing, text: &Text) -> Result<()> {
     if names.is_empty() {
         return Ok(());
     }
-    let known: Vec<String> = listing.episodes.iter().flat_map(|listed| listed.names()).collect();
-    for name in &known {
+    for name in listing.episodes.iter().flat_map(|listed| listed.names()) {
         names.remove(name.as_str());
     }
     let mut names: Vec<&str> = names.into_iter().collect();
     names.sort_unstable();
     names.truncate(MOST_NAMED);
-    let known: Vec<&str> = known.iter().map(String::as_str).collect();
+    let known: Vec<&str> = listing
+        .episodes
+        .iter()
+        .map(|listed| listed.episode_id.as_str())
+        .collect();
     let Some(unknown) = unknown(names, &known) else {
         return Ok(());
     };
