@@ -99,7 +99,7 @@ impl Footage<'_> {
     ///
     /// # Errors
     /// What does not fit.
-    pub(super) fn check(&self) -> Result<()> {
+    pub fn check(&self) -> Result<()> {
         let wrong = |what: String| Err(Error { what });
         let (frames, joints) = (self.frames(), self.joint_names.len());
         if frames == 0 || self.positions.len() != frames * joints {

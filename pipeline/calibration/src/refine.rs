@@ -1,0 +1,202 @@
+//! From a camera that is off by some to the one that fits (`docs/spec/calibration.md` section 4).
+
+use rogs_agreement::Why;
+use rogs_agreement::audit::Mount;
+use rogs_geometry::Pinhole;
+
+use crate::correction::{Correction, Prior, UNKNOWNS, Vector};
+use crate::edges::{Level, Look};
+use crate::solve::{Solved, minimise, weighted_median};
+use crate::take::{Take, chosen_frames};
+use crate::{Error, Result};
+
+/// Offsets are judged within this distance of the drawn contour, pixels of 320 image columns.
+const JUDGED_PX: f64 = 12.0;
+/// Fewest edges that a pose is solved from.
+const FEWEST_EDGES: usize = 40;
+/// A refined camera that overlays less than this has not been found.
+const FOUND: f64 = 0.12;
+
+/// How a camera is refined.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// What is free, and how far it is likely to be off.
+    pub prior: Prior,
+    /// Most frames that are looked at, over all clips.
+    pub frames: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            prior: Prior::POSE,
+            frames: 32,
+        }
+    }
+}
+
+/// How well a camera fits.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fit {
+    /// Median distance of the images' edges from the drawn contours, within 12 pixels of 320 columns.
+    pub edge_px: f64,
+    /// Share of the silhouette with its edge at the predicted place, beyond chance (`docs/spec/agreement.md` section 3).
+    pub overlay: f64,
+    /// Median distance of tracked points from their epipolar lines, pixels; cameras on the hand only.
+    pub epipolar_px: Option<f64>,
+}
+
+/// A calibrated camera.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Refined {
+    /// Difference from the given camera.
+    pub correction: Correction,
+    /// Standard deviations of the unknowns, in the camera's own frame as it stands now; 0 for those as given.
+    pub sigma: Vector,
+    /// Their covariance.
+    pub covariance: [[f64; UNKNOWNS]; UNKNOWNS],
+    /// The lens.
+    pub lens: Pinhole,
+    /// The pose.
+    pub mount: Mount,
+    /// How the given camera fits.
+    pub before: Fit,
+    /// How this one does.
+    pub after: Fit,
+    /// Frames looked at.
+    pub frames: usize,
+}
+
+/// Refines a camera that all takes have in common: one lens, one pose, one clock.
+///
+/// # Errors
+/// What the images cannot tell, or what does not fit together.
+pub fn refine(takes: &[Take<'_>], settings: &Settings) -> Result<Refined> {
+    check(takes)?;
+    let frames = chosen_frames(takes, settings.frames);
+    let lens = takes[0].filmed().lens;
+    let full = Level::new(takes, &frames, factor(&lens, 640));
+    let judged = judging(&full);
+    let given = full.look(&Correction::NONE, &judged)?;
+    if given.frames < 2 {
+        return Err(Error::TooFewFrames { frames: given.frames });
+    }
+    if 2 * given.blank > given.frames {
+        return Err(Error::CannotTell { why: Why::BlankImage });
+    }
+    if 4 * given.visible < given.frames || given.visible < 2 {
+        return Err(Error::CannotTell {
+            why: Why::HardlyVisible,
+        });
+    }
+    let solved = converge(takes, &frames, &full, &settings.prior, Correction::NONE)?;
+    let found = full.look(&solved.correction, &judged)?;
+    if found.overlay < FOUND {
+        return Err(Error::NotFound { overlay: found.overlay });
+    }
+    Ok(summed_up(takes, solved, &given, &found))
+}
+
+/// Whether the takes are of one camera.
+fn check(takes: &[Take<'_>]) -> Result<()> {
+    let wrong = |what: &str| Err(Error::Input { what: what.to_owned() });
+    let Some(first) = takes.first() else {
+        return wrong("there is no clip");
+    };
+    for take in takes {
+        take.footage.check()?;
+        let Some(filmed) = take.footage.cameras.get(take.camera) else {
+            return wrong("there is no such camera");
+        };
+        if matches!(filmed.mount, Mount::Path(_)) {
+            return Err(Error::PoseOfEveryFrame);
+        }
+        if filmed.lens != first.filmed().lens || filmed.mount != first.filmed().mount {
+            return wrong("the clips start from different cameras");
+        }
+    }
+    Ok(())
+}
+
+/// The factor by which images shrink to at most `columns` columns.
+pub(crate) fn factor(lens: &Pinhole, columns: u32) -> u32 {
+    lens.width.div_ceil(columns).max(1)
+}
+
+/// The search that fits are judged by.
+fn judging(level: &Level<'_>) -> rogs_agreement::Settings {
+    rogs_agreement::Settings::of_range(JUDGED_PX * (f64::from(level.lens.width) / 320.0).max(0.75))
+}
+
+/// Solves from coarse images and wide searches to fine and narrow ones.
+pub(crate) fn converge(
+    takes: &[Take<'_>],
+    frames: &[(usize, usize)],
+    full: &Level<'_>,
+    prior: &Prior,
+    start: Correction,
+) -> Result<Solved> {
+    let lens = takes[0].filmed().lens;
+    let coarse = factor(&lens, 180);
+    let middle = factor(&lens, 360);
+    // Not all frames are needed to come near.
+    let few: Vec<(usize, usize)> = frames.iter().step_by(frames.len().div_ceil(10)).copied().collect();
+    let pose = Prior {
+        focal: None,
+        principal: None,
+        lag_frames: None,
+        ..*prior
+    };
+    let mut best = Solved {
+        correction: start,
+        covariance: [[0.0; UNKNOWNS]; UNKNOWNS],
+    };
+    let small = Level::new(takes, &few, coarse);
+    best = rounds(&small, &[24.0, 24.0, 16.0, 12.0, 8.0], &pose, best)?;
+    if middle < coarse {
+        let level = Level::new(takes, &few, middle);
+        best = rounds(&level, &[12.0, 8.0], &pose, best)?;
+    }
+    rounds(full, &[12.0, 8.0, 6.0, 4.0, 4.0, 4.0], prior, best)
+}
+
+fn rounds(level: &Level<'_>, ranges: &[f64], prior: &Prior, start: Solved) -> Result<Solved> {
+    let mut best = start;
+    for &range in ranges {
+        let settings = rogs_agreement::Settings::of_range(range);
+        let Look { edges, .. } = level.look(&best.correction, &settings)?;
+        if edges.len() < FEWEST_EDGES {
+            return Err(Error::CannotTell { why: Why::TooFewEdges });
+        }
+        let widest = range / 3.0;
+        if let Some(solved) = minimise(best.correction, prior, widest, 12, |correction| {
+            level.rows(&edges, correction, 1.0)
+        }) {
+            best = solved;
+        }
+    }
+    Ok(best)
+}
+
+fn fit(look: &Look) -> Fit {
+    Fit {
+        edge_px: weighted_median(&mut look.offsets.clone()),
+        overlay: look.overlay,
+        epipolar_px: None,
+    }
+}
+
+fn summed_up(takes: &[Take<'_>], solved: Solved, given: &Look, found: &Look) -> Refined {
+    let filmed = takes[0].filmed();
+    let covariance = solved.covariance;
+    Refined {
+        sigma: std::array::from_fn(|i| covariance[i][i].max(0.0).sqrt()),
+        covariance,
+        lens: solved.correction.lens(&filmed.lens),
+        mount: filmed.mount.moved(solved.correction.moved),
+        before: fit(given),
+        after: fit(found),
+        frames: given.frames,
+        correction: solved.correction,
+    }
+}
