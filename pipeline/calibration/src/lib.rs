@@ -9,10 +9,12 @@
 
 mod correction;
 mod edges;
+mod epipolar;
 mod refine;
 mod scaled;
 mod solve;
 mod take;
+mod tracks;
 
 pub use correction::{Correction, Prior, UNKNOWNS, Vector};
 pub use refine::{Fit, Refined, Settings, refine};

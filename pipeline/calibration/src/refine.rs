@@ -6,6 +6,7 @@ use rogs_geometry::Pinhole;
 
 use crate::correction::{Correction, Prior, UNKNOWNS, Vector};
 use crate::edges::{Level, Look};
+use crate::epipolar::Pairs;
 use crate::solve::{Solved, minimise, weighted_median};
 use crate::take::{Take, chosen_frames};
 use crate::{Error, Result};
@@ -14,6 +15,10 @@ use crate::{Error, Result};
 const JUDGED_PX: f64 = 12.0;
 /// Fewest edges that a pose is solved from.
 const FEWEST_EDGES: usize = 40;
+/// Fewest matches that tell something of a camera on the hand.
+const FEWEST_MATCHES: usize = 60;
+/// Images are looked at with no more columns than this.
+const FINEST: u32 = 640;
 /// A refined camera that overlays less than this has not been found.
 const FOUND: f64 = 0.12;
 
@@ -65,6 +70,8 @@ pub struct Refined {
     pub after: Fit,
     /// Frames looked at.
     pub frames: usize,
+    /// Pairs of places of tracked points that it was solved from; 0 for fixed cameras.
+    pub matches: usize,
 }
 
 /// Refines a camera that all takes have in common: one lens, one pose, one clock.
@@ -74,15 +81,16 @@ pub struct Refined {
 pub fn refine(takes: &[Take<'_>], settings: &Settings) -> Result<Refined> {
     check(takes)?;
     let frames = chosen_frames(takes, settings.frames);
-    let lens = takes[0].filmed().lens;
-    let full = Level::new(takes, &frames, factor(&lens, 640));
-    let judged = judging(&full);
-    let given = full.look(&Correction::NONE, &judged)?;
+    let full = Level::new(takes, &frames, factor(&takes[0].filmed().lens, FINEST));
+    let given = full.look(&Correction::NONE, &judging(&full))?;
     if given.frames < 2 {
         return Err(Error::TooFewFrames { frames: given.frames });
     }
     if 2 * given.blank > given.frames {
         return Err(Error::CannotTell { why: Why::BlankImage });
+    }
+    if matches!(takes[0].filmed().mount, Mount::Hand { .. }) {
+        return refine_on_hand(takes, &full, &given, &settings.prior);
     }
     if 4 * given.visible < given.frames || given.visible < 2 {
         return Err(Error::CannotTell {
@@ -90,11 +98,53 @@ pub fn refine(takes: &[Take<'_>], settings: &Settings) -> Result<Refined> {
         });
     }
     let solved = converge(takes, &frames, &full, &settings.prior, Correction::NONE)?;
-    let found = full.look(&solved.correction, &judged)?;
+    let found = full.look(&solved.correction, &judging(&full))?;
     if found.overlay < FOUND {
         return Err(Error::NotFound { overlay: found.overlay });
     }
     Ok(summed_up(takes, solved, &given, &found))
+}
+
+/// A camera on the hand: points of the scene along its path, and the edges of the gripper, which look the same in all
+/// images and so count as one image together.
+fn refine_on_hand(takes: &[Take<'_>], full: &Level<'_>, given: &Look, prior: &Prior) -> Result<Refined> {
+    let pairs = Pairs::new(takes, factor(&takes[0].filmed().lens, FINEST))?;
+    if pairs.len() < FEWEST_MATCHES && 4 * given.visible < given.frames {
+        return Err(Error::CannotTell {
+            why: Why::HardlyVisible,
+        });
+    }
+    let free = prior.sigmas().map(|sigma| sigma.is_some());
+    let mut best = Solved {
+        correction: Correction::NONE,
+        covariance: [[0.0; UNKNOWNS]; UNKNOWNS],
+    };
+    for range in [16.0, 12.0, 8.0, 6.0, 4.0, 4.0] {
+        let Look { edges, visible, .. } = full.look(&best.correction, &rogs_agreement::Settings::of_range(range))?;
+        if edges.len() + pairs.len() < FEWEST_EDGES {
+            return Err(Error::CannotTell { why: Why::TooFewEdges });
+        }
+        let share = 1.0 / visible.max(1) as f64;
+        if let Some(solved) = minimise(best.correction, prior, range / 3.0, 12, |correction| {
+            let mut rows = full.rows(&edges, correction, share)?;
+            rows.extend(pairs.rows(correction, &free));
+            Some(rows)
+        }) {
+            best = solved;
+        }
+    }
+    let found = full.look(&best.correction, &judging(full))?;
+    let epipolar = |correction: &Correction| {
+        let distances = pairs.distances(correction);
+        let mut sizes: Vec<(f64, f64)> = distances.into_iter().map(|distance| (distance.abs(), 1.0)).collect();
+        (!sizes.is_empty()).then(|| weighted_median(&mut sizes))
+    };
+    let after = epipolar(&best.correction);
+    let mut refined = summed_up(takes, best, given, &found);
+    refined.before.epipolar_px = epipolar(&Correction::NONE);
+    refined.after.epipolar_px = after;
+    refined.matches = pairs.len();
+    Ok(refined)
 }
 
 /// Whether the takes are of one camera.
@@ -197,6 +247,7 @@ fn summed_up(takes: &[Take<'_>], solved: Solved, given: &Look, found: &Look) -> 
         before: fit(given),
         after: fit(found),
         frames: given.frames,
+        matches: 0,
         correction: solved.correction,
     }
 }
