@@ -131,6 +131,13 @@ impl Prior {
         lag_frames: None,
     };
 
+    /// A pose of which nothing is known.
+    pub const NOTHING: Self = Self {
+        turn: 10.0,
+        shift_m: 10.0,
+        ..Self::POSE
+    };
+
     /// A hand-eye pose of another rig of the same build: some 3 degrees and 1 cm off.
     pub const HAND_EYE: Self = Self {
         turn: 0.06,

@@ -10,14 +10,18 @@
 mod correction;
 mod edges;
 mod epipolar;
+mod overlay;
 mod refine;
 mod scaled;
+mod search;
 mod solve;
 mod take;
 mod tracks;
 
 pub use correction::{Correction, Prior, UNKNOWNS, Vector};
+pub use overlay::{Picture, overlay};
 pub use refine::{Fit, Refined, Settings, refine};
+pub use search::{Found, search};
 pub use take::Take;
 
 use rogs_agreement::Why;
@@ -37,6 +41,9 @@ pub enum Error {
         /// Number of frames.
         frames: usize,
     },
+    /// A search compares what moves.
+    #[error("no pose can be searched: the robot, or the image, does not move")]
+    StandsStill,
     /// The pose of the camera is recorded for every frame: there is no one pose to solve for.
     #[error("cannot be calibrated: its pose is recorded for every frame")]
     PoseOfEveryFrame,

@@ -148,7 +148,7 @@ fn refine_on_hand(takes: &[Take<'_>], full: &Level<'_>, given: &Look, prior: &Pr
 }
 
 /// Whether the takes are of one camera.
-fn check(takes: &[Take<'_>]) -> Result<()> {
+pub(crate) fn check(takes: &[Take<'_>]) -> Result<()> {
     let wrong = |what: &str| Err(Error::Input { what: what.to_owned() });
     let Some(first) = takes.first() else {
         return wrong("there is no clip");
@@ -174,7 +174,7 @@ pub(crate) fn factor(lens: &Pinhole, columns: u32) -> u32 {
 }
 
 /// The search that fits are judged by.
-fn judging(level: &Level<'_>) -> rogs_agreement::Settings {
+pub(crate) fn judging(level: &Level<'_>) -> rogs_agreement::Settings {
     rogs_agreement::Settings::of_range(JUDGED_PX * (f64::from(level.lens.width) / 320.0).max(0.75))
 }
 
@@ -208,6 +208,15 @@ pub(crate) fn converge(
         best = rounds(&level, &[12.0, 8.0], &pose, best)?;
     }
     rounds(full, &[12.0, 8.0, 6.0, 4.0, 4.0, 4.0], prior, best)
+}
+
+/// Comes near from a rough start, on one level of small images.
+pub(crate) fn near(level: &Level<'_>, start: Correction) -> Result<Correction> {
+    let start = Solved {
+        correction: start,
+        covariance: [[0.0; UNKNOWNS]; UNKNOWNS],
+    };
+    Ok(rounds(level, &[16.0, 12.0, 12.0, 8.0, 6.0], &Prior::NOTHING, start)?.correction)
 }
 
 fn rounds(level: &Level<'_>, ranges: &[f64], prior: &Prior, start: Solved) -> Result<Solved> {
