@@ -12,6 +12,7 @@ mod edges;
 mod epipolar;
 mod overlay;
 mod refine;
+pub mod rig;
 mod scaled;
 mod search;
 mod solve;

@@ -1,5 +1,6 @@
 //! The commands, one module each.
 
+mod calibrate;
 mod cohort;
 mod completions;
 mod config;
@@ -89,6 +90,7 @@ enum Command {
     Table(table::Args),
     Synth(synth::Args),
     Metrics(metrics::Args),
+    Calibrate(calibrate::Args),
     Cohort(cohort::Args),
     Weights(weights::Args),
     Render(render::Args),
@@ -119,6 +121,7 @@ pub(crate) fn run(command_line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Init(args) => init::run(&args),
         Command::List(args) => list::run(&args),
         Command::Metrics(args) => metrics::run(&args),
+        Command::Calibrate(args) => calibrate::run(&args),
         Command::Cohort(args) => cohort::run(&args),
         Command::Weights(args) => weights::run(args),
         Command::Synth(args) => synth::run(&args),

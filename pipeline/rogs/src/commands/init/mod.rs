@@ -1,6 +1,6 @@
 //! `rogs init`: a manifest for the episodes of a folder, with what is found there and what is missing said in comments.
 
-mod robot;
+pub(super) mod robot;
 mod text;
 
 use std::fs::DirEntry;

@@ -14,19 +14,19 @@ use super::{MOST_FOLDERS, entries, files};
 
 /// The robot of a manifest, as far as it was found.
 #[derive(Default)]
-pub(super) struct FoundRobot {
+pub(in crate::commands) struct FoundRobot {
     /// Its URDF as the manifest writes it; none where none was found.
-    pub(super) urdf: Option<String>,
+    pub(in crate::commands) urdf: Option<String>,
     /// The preset that fits it.
-    pub(super) preset: Option<&'static Preset>,
+    pub(in crate::commands) preset: Option<&'static Preset>,
     /// How its parts are called.
-    pub(super) spec: RobotSpec,
+    pub(in crate::commands) spec: RobotSpec,
     /// Whether parts of the spec are guessed from the URDF alone.
-    pub(super) guessed: bool,
+    pub(in crate::commands) guessed: bool,
     /// Its joints that can be set, for who has to name those of the data.
-    pub(super) driven: Vec<String>,
+    pub(in crate::commands) driven: Vec<String>,
     /// What does not fit, or is missing.
-    pub(super) problems: Vec<String>,
+    pub(in crate::commands) problems: Vec<String>,
 }
 
 /// Most URDFs that are read to find the one that fits.
@@ -36,7 +36,7 @@ const DEPTH: usize = 3;
 
 /// Finds a robot for the episodes: the one that is named, that which they bring along, or that which lies in the folder or
 /// beside it and has their joints.
-pub(super) fn find(
+pub(in crate::commands) fn find(
     named: Option<&Path>,
     folder: &Path,
     outline: &EpisodeOutline,
