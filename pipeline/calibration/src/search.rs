@@ -261,8 +261,9 @@ impl<'a> Moments<'a> {
             .collect();
         let (width, height) = (self.lens.width as i32, self.lens.height as i32);
         let mut best: Vec<(f64, [i32; 2])> = Vec::new();
-        for top in (0..=height).step_by(SHIFT_STEP as usize) {
-            for left in (0..=width).step_by(SHIFT_STEP as usize) {
+        let (right, bottom) = (self.wide.width as i32 - width, self.wide.height as i32 - height);
+        for top in (0..=bottom).step_by(SHIFT_STEP as usize) {
+            for left in (0..=right).step_by(SHIFT_STEP as usize) {
                 let likeness = self.likeness(&moved, left, top);
                 best.push((likeness, [left, top]));
             }
