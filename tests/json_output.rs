@@ -30,7 +30,14 @@ const RUNS: [&str; 12] = [
     "rogs-inspect",
 ];
 const PICTURES: [&str; 4] = ["rogs-render", "rogs-query", "rogs-metrics", "rogs-export-field"];
-const DATA: [&str; 5] = ["rogs-fk", "rogs-cohort", "rogs-synth", "rogs-init", "rogs-list"];
+const DATA: [&str; 6] = [
+    "rogs-fk",
+    "rogs-cohort",
+    "rogs-synth",
+    "rogs-init",
+    "rogs-list",
+    "rogs-calibrate",
+];
 const WEIGHTS: [&str; 7] = [
     "rogs-weights-list",
     "rogs-weights-verify",
@@ -326,6 +333,15 @@ fn commands_about_data() {
         (&init["urdf"], &init["missing"]),
         (&json!("data/robot/panda_synth.urdf"), &json!([]))
     );
+    let calibrate = ["calibrate", "data/episodes", "--camera", "ext1", "--size", "224x168"];
+    let calibrated = asking.ask(0, &[&calibrate[..], &["--out", "cameras.json"]].concat());
+    assert_eq!(calibrated["format"], "rogs-calibration 1");
+    assert_eq!(calibrated["cameras"][0]["camera"], "ext1");
+    let written = std::fs::read_to_string(workspace.path("cameras.json")).unwrap();
+    let written: Value = serde_json::from_str(&written).unwrap();
+    assert_eq!(length(&written["cameras"]["ext1"]["camera_to_base"]), 3);
+    // Those that were not asked for are kept.
+    assert!(written["cameras"]["wrist"]["camera_to_link"].is_array());
     asking.asked(&DATA);
 }
 
