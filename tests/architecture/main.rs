@@ -141,7 +141,6 @@ fn dependencies_point_one_way() {
                 "rogs-lpips",
                 "rogs-stereo",
                 "rogs-agreement",
-                "rogs-calibration",
                 "rogs-video",
                 "rogs-export",
                 "rogs-worker",

@@ -29,7 +29,7 @@ pub(super) struct Robot {
 }
 
 impl Robot {
-    /// The robot that is named, comes with the episode, or lies beside it. Its visual meshes are what cameras see.
+    /// The robot that is named, comes with the episode, or lies beside it.
     pub(super) fn find(named: Option<&Path>, folder: &Path, episode: &EpisodeListing) -> anyhow::Result<Self> {
         let outline = outline(folder, episode).map_err(stage_error)?;
         let written = |path: &Path| path.to_string_lossy().into_owned();
@@ -41,15 +41,26 @@ impl Robot {
         for problem in &robot.problems {
             output::note(&format!("warning: {problem}"));
         }
+        Self::load(Path::new(urdf), robot.spec)
+    }
+
+    /// The robot of a manifest.
+    pub(super) fn of_manifest(manifest: &Manifest) -> anyhow::Result<Self> {
+        let spec = manifest.robot_spec().map_err(Error::usage)?;
+        Self::load(&manifest.robot.urdf, spec)
+    }
+
+    /// Its visual meshes are what cameras see.
+    fn load(urdf: &Path, spec: RobotSpec) -> anyhow::Result<Self> {
         let spec = RobotSpec {
             collision_links: Vec::new(),
-            ..robot.spec
+            ..spec
         };
         let params = rogs_robot_maps::Params {
             robot: spec.clone(),
             ..rogs_robot_maps::Params::default()
         };
-        let meshes = Meshes::load(Path::new(urdf), &params).map_err(stage_error)?;
+        let meshes = Meshes::load(urdf, &params).map_err(stage_error)?;
         for note in meshes.notes() {
             output::note(&format!("warning: {note}"));
         }
@@ -99,8 +110,14 @@ pub(super) fn chosen(folder: &Path, named: &[String]) -> anyhow::Result<Vec<Epis
 }
 
 impl Clips {
-    /// Reads the episodes.
-    pub(super) fn read(folder: &Path, episodes: &[EpisodeListing], args: &Args) -> anyhow::Result<Self> {
+    /// Reads the episodes, whole or in steps.
+    pub(super) fn read(
+        folder: &Path,
+        episodes: &[EpisodeListing],
+        robot: &Robot,
+        manifest: Option<&Manifest>,
+        args: &Args,
+    ) -> anyhow::Result<Self> {
         let start = match args.new {
             true => Some(Start::write(folder, &episodes[0], args)?),
             false => None,

@@ -10,7 +10,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::Context as _;
-use rogs_orchestrator::Error;
+use rogs_orchestrator::{Error, Manifest};
 
 use self::clips::{Clips, Robot};
 use crate::output;
@@ -22,8 +22,12 @@ use crate::output;
 /// deviation. Episodes that are named together must have been filmed by cameras that stayed where they are.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Folder with episodes, in any layout that `rogs list` shows.
-    folder: PathBuf,
+    /// Folder with episodes, in any layout that `rogs list` shows; by default that of the manifest.
+    #[arg(required_unless_present = "manifest")]
+    folder: Option<PathBuf>,
+    /// Manifest whose robot, calibration and parameters of `ingest` hold here too.
+    #[arg(long, value_name = "FILE")]
+    manifest: Option<PathBuf>,
     /// Episode to look at, by its selector or id (`rogs list`); repeat for more. By default up to 8 of the folder.
     #[arg(long, value_name = "EPISODE")]
     episode: Vec<String>,
@@ -87,10 +91,22 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
             .with_hint("name another file with --out, or replace it with --force")
             .into());
     }
-    let folder = std::path::absolute(&args.folder)?;
+    let told = args.manifest.as_deref().map(Manifest::load).transpose()?;
+    let manifest = told.as_ref().map(|(manifest, _)| manifest);
+    let of_manifest = manifest
+        .and_then(|manifest| manifest.input.as_ref())
+        .map(|input| &input.root);
+    let Some(folder) = args.folder.as_ref().or(of_manifest) else {
+        let error = Error::usage("the manifest has no `[input]` with a folder of episodes");
+        return Err(error.with_hint("name the folder").into());
+    };
+    let folder = std::path::absolute(folder)?;
     let episodes = clips::chosen(&folder, &args.episode)?;
-    let robot = Robot::find(args.robot.as_deref(), &folder, &episodes[0])?;
-    let clips = Clips::read(&folder, &episodes, args)?;
+    let robot = match (manifest, &args.robot) {
+        (Some(manifest), None) => Robot::of_manifest(manifest)?,
+        (_, named) => Robot::find(named.as_deref(), &folder, &episodes[0])?,
+    };
+    let clips = Clips::read(&folder, &episodes, &robot, manifest, args)?;
     let cameras = camera::calibrate_all(&clips, &robot, args)?;
     let calibrated = cameras.iter().filter(|camera| camera.refined.is_ok()).count();
     for camera in &cameras {
