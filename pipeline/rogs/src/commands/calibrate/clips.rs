@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use rogs_calibration::rig;
 use rogs_ingest::{EpisodeListing, Fit, Params, QueryChoice, count_frames, list_episodes, outline, read_clip};
-use rogs_orchestrator::Error;
+use rogs_orchestrator::{Error, Manifest};
 use rogs_robot_maps::Robot as Meshes;
 use rogs_schemas::FrameIndex;
 use rogs_schemas::records::clip::Clip;
@@ -122,10 +122,13 @@ impl Clips {
             true => Some(Start::write(folder, &episodes[0], args)?),
             false => None,
         };
+        let input = manifest.and_then(|manifest| manifest.input.as_ref());
         let calibration = start
             .as_ref()
             .map(|start| start.path.as_path())
-            .or(args.calibration.as_deref());
+            .or(args.calibration.as_deref())
+            .or(input.and_then(|input| input.calibration.as_deref()));
+        let given = ingest(robot, manifest)?;
         let total: u64 = episodes.iter().filter_map(|episode| episode.frames).sum();
         let step = total.div_ceil(MOST_FRAMES).max(1);
         let (width, height) = args.size;
@@ -145,7 +148,7 @@ impl Clips {
                 width,
                 height,
                 fit: Fit::Stretch,
-                ..Params::default()
+                ..given.clone()
             };
             let (clip, warnings) =
                 read_clip(&folder.join(&episode.folder), calibration, &params, &episode.name).map_err(stage_error)?;
@@ -163,6 +166,20 @@ impl Clips {
             clips,
         })
     }
+}
+
+/// What the manifest says of ingest, or what the robot does: one without a gripper has no state of it.
+fn ingest(robot: &Robot, manifest: Option<&Manifest>) -> anyhow::Result<Params> {
+    let Some(manifest) = manifest else {
+        let mut params = Params::default();
+        params.states.gripper = robot.spec.gripper_joint.is_empty().then(String::new);
+        return Ok(params);
+    };
+    let mut given = Value::Object(manifest.ingest.clone());
+    if let Some(input) = &manifest.input {
+        rogs_schemas::overlay(&mut given, &Value::Object(input.ingest.clone()));
+    }
+    serde_json::from_value(given).context("reading `[ingest]` of the manifest")
 }
 
 /// A calibration file for data that has none, of lenses as they are built and poses that mean nothing yet.
