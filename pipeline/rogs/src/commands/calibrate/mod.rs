@@ -10,7 +10,8 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::Context as _;
-use rogs_orchestrator::{Error, Manifest};
+use rogs_orchestrator::Error;
+use rogs_orchestrator::manifest::Manifest;
 
 use self::clips::{Clips, Robot};
 use crate::output;
