@@ -10,7 +10,7 @@ use rogs_robot::raster::Renderer;
 
 use crate::Result;
 use crate::correction::{Correction, FOCAL, LAG, PRINCIPAL, UNKNOWNS};
-use crate::scaled::{shrunk, shrunk_lens};
+use crate::scaled::{enlarged, shrunk, shrunk_lens};
 use crate::solve::{Kind, Row};
 use crate::take::Take;
 
@@ -92,6 +92,26 @@ impl<'a> Level<'a> {
         Self {
             takes,
             lens: shrunk_lens(&lens, factor),
+            mount_from_given: mount_from_camera(&takes[0].filmed().mount),
+            images,
+        }
+    }
+
+    /// Images of the chosen frames, `factor` times larger: contours are cut by discs of a few pixels, which moves those of
+    /// round parts inwards; the larger the images, the less.
+    pub(crate) fn enlarged(takes: &'a [Take<'a>], frames: &[(usize, usize)], factor: u32) -> Self {
+        let lens = takes[0].filmed().lens;
+        let (width, height) = (lens.width as usize, lens.height as usize);
+        let images = frames
+            .par_iter()
+            .map(|&(clip, frame)| {
+                let full = takes[clip].filmed().images[frame];
+                (clip, frame, enlarged(full, width, height, factor as usize))
+            })
+            .collect();
+        Self {
+            takes,
+            lens: lens.resized(lens.width * factor, lens.height * factor),
             mount_from_given: mount_from_camera(&takes[0].filmed().mount),
             images,
         }

@@ -17,6 +17,10 @@ const JUDGED_PX: f64 = 12.0;
 const FEWEST_EDGES: usize = 40;
 /// Fewest matches that tell something of a camera on the hand.
 const FEWEST_MATCHES: usize = 60;
+/// Smaller images are enlarged to about so many columns in the end.
+const LARGE: u32 = 900;
+/// A camera that overlays less than this is sought from other starts too.
+const SURE: f64 = 0.5;
 /// Images are looked at with no more columns than this.
 const FINEST: u32 = 640;
 /// A refined camera that overlays less than this has not been found.
@@ -97,12 +101,53 @@ pub fn refine(takes: &[Take<'_>], settings: &Settings) -> Result<Refined> {
             why: Why::HardlyVisible,
         });
     }
-    let solved = converge(takes, &frames, &full, &settings.prior, Correction::NONE)?;
-    let found = full.look(&solved.correction, &judging(&full))?;
-    if found.overlay < FOUND {
-        return Err(Error::NotFound { overlay: found.overlay });
+    let mut starts = vec![Correction::NONE];
+    let mut best: Option<(Solved, Look)> = None;
+    while let Some(start) = starts.pop() {
+        if let Ok(solved) = converge(takes, &frames, &full, &settings.prior, start) {
+            let found = full.look(&solved.correction, &judging(&full))?;
+            if best.as_ref().is_none_or(|(_, best)| found.overlay > best.overlay) {
+                best = Some((solved, found));
+            }
+        }
+        let sure = best.as_ref().is_some_and(|(_, best)| best.overlay >= SURE);
+        if start == Correction::NONE && !sure {
+            starts = around(takes, &frames, &settings.prior)?;
+        }
     }
-    Ok(summed_up(takes, solved, &given, &found))
+    match best {
+        Some((solved, found)) if found.overlay >= FOUND => Ok(summed_up(takes, solved, &given, &found)),
+        Some((_, found)) => Err(Error::NotFound { overlay: found.overlay }),
+        None => Err(Error::CannotTell { why: Why::TooFewEdges }),
+    }
+}
+
+/// Starts around the given one, turned by about the prior's standard deviation, solved on small images: the best three.
+fn around(takes: &[Take<'_>], frames: &[(usize, usize)], prior: &Prior) -> Result<Vec<Correction>> {
+    let few: Vec<(usize, usize)> = frames.iter().step_by(frames.len().div_ceil(6)).copied().collect();
+    let small = Level::new(takes, &few, factor(&takes[0].filmed().lens, 180));
+    let settings = rogs_agreement::Settings {
+        inner: false,
+        ..rogs_agreement::Settings::of_range(8.0)
+    };
+    let pose = Prior {
+        focal: None,
+        principal: None,
+        lag_frames: None,
+        ..*prior
+    };
+    let mut rated: Vec<(f64, Correction)> = Vec::new();
+    for number in 0..27 {
+        let part = |divisor: i32| 0.7 * prior.turn * f64::from(number / divisor % 3 - 1);
+        let mut step = [0.0; UNKNOWNS];
+        step[..3].copy_from_slice(&[part(1), part(3), part(9)]);
+        let start = Correction::NONE.stepped(&step);
+        if let Ok(near) = near(&small, &pose, start) {
+            rated.push((small.look(&near, &settings)?.overlay, near));
+        }
+    }
+    rated.sort_by(|a, b| b.0.total_cmp(&a.0));
+    Ok(rated.into_iter().take(3).map(|(_, correction)| correction).collect())
 }
 
 /// A camera on the hand: points of the scene along its path, and the edges of the gripper, which look the same in all
@@ -207,16 +252,22 @@ pub(crate) fn converge(
         let level = Level::new(takes, &few, middle);
         best = rounds(&level, &[12.0, 8.0], &pose, best)?;
     }
-    rounds(full, &[12.0, 8.0, 6.0, 4.0, 4.0, 4.0], prior, best)
+    best = rounds(full, &[12.0, 8.0, 6.0, 4.0], prior, best)?;
+    let larger = LARGE / lens.width;
+    if larger < 2 {
+        return rounds(full, &[4.0, 4.0], prior, best);
+    }
+    let large = Level::enlarged(takes, frames, larger);
+    rounds(&large, &[12.0, 8.0, 8.0, 8.0], prior, best)
 }
 
 /// Comes near from a rough start, on one level of small images.
-pub(crate) fn near(level: &Level<'_>, start: Correction) -> Result<Correction> {
+pub(crate) fn near(level: &Level<'_>, prior: &Prior, start: Correction) -> Result<Correction> {
     let start = Solved {
         correction: start,
         covariance: [[0.0; UNKNOWNS]; UNKNOWNS],
     };
-    Ok(rounds(level, &[16.0, 12.0, 12.0, 8.0, 6.0], &Prior::NOTHING, start)?.correction)
+    Ok(rounds(level, &[16.0, 12.0, 12.0, 8.0, 6.0], prior, start)?.correction)
 }
 
 fn rounds(level: &Level<'_>, ranges: &[f64], prior: &Prior, start: Solved) -> Result<Solved> {

@@ -87,7 +87,7 @@ pub fn search(takes: &[Take<'_>]) -> Result<Found> {
     let mut kept = apart(&looked, KEPT[1], 0.04, 0.06);
     kept = kept
         .into_par_iter()
-        .filter_map(|(_, start)| near(&small, start).ok())
+        .filter_map(|(_, start)| near(&small, &Prior::NOTHING, start).ok())
         .map(|near| (rate(&small, &near, 6.0), near))
         .collect();
     best_first(&mut kept);
