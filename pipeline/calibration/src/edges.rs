@@ -11,7 +11,7 @@ use rogs_robot::raster::Renderer;
 use crate::Result;
 use crate::correction::{Correction, FOCAL, LAG, PRINCIPAL, UNKNOWNS};
 use crate::scaled::{enlarged, shrunk, shrunk_lens};
-use crate::solve::{Kind, Row};
+use crate::solve::{BLOCKS, Kind, Row};
 use crate::take::Take;
 
 /// Fewer pixels of the robot tell nothing.
@@ -55,6 +55,8 @@ pub(crate) struct Edge {
     normal: DVec2,
     sigma: f64,
     weight: f64,
+    /// Block of images.
+    block: usize,
 }
 
 /// What a look at all frames gave.
@@ -123,9 +125,15 @@ impl<'a> Level<'a> {
         let looks: Vec<Result<Look>> = self
             .images
             .par_iter()
+            .enumerate()
             .map_init(
                 || Renderer::new(self.takes[0].footage.scene),
-                |renderer, image| self.look_at(renderer, image, correction, settings),
+                |renderer, (number, image)| {
+                    let mut look = self.look_at(renderer, image, correction, settings)?;
+                    let block = number * BLOCKS / self.images.len();
+                    look.edges.iter_mut().for_each(|edge| edge.block = block);
+                    Ok(look)
+                },
             )
             .collect();
         let mut all = Look::default();
@@ -227,6 +235,7 @@ impl<'a> Level<'a> {
                 normal: sample.normal,
                 sigma: sample.sigma_px,
                 weight,
+                block: 0,
             });
         }
         look.depth_m = crate::solve::weighted_median(&mut depths);
@@ -271,6 +280,7 @@ impl Edge {
             gradient,
             sigma: self.sigma,
             weight: self.weight * share,
+            block: self.block,
         })
     }
 }
@@ -291,6 +301,7 @@ mod tests {
             normal: DVec2::from_angle(0.7),
             sigma: 0.5,
             weight: 1.0,
+            block: 0,
         };
         let correction = Correction::NONE.stepped(&[0.02, 0.01, -0.03, 0.04, -0.02, 0.03, 0.05, 0.01, 0.02, 0.4]);
         let row = |correction: &Correction| {

@@ -11,7 +11,7 @@ use crate::Result;
 use crate::correction::{Correction, LAG, UNKNOWNS};
 use crate::edges::mount_from_camera;
 use crate::scaled::{Grey, shrunk, shrunk_lens};
-use crate::solve::{Kind, Row};
+use crate::solve::{BLOCKS, Kind, Row};
 use crate::take::{Take, between};
 use crate::tracks::{Pyramid, pixel};
 
@@ -127,7 +127,7 @@ impl Pairs {
             })
         };
         let around: Vec<[(Correction, f64); 2]> = unknowns.iter().map(|&i| sides(i)).collect();
-        let of_pair = |pair: &Pair| {
+        let of_pair = |(number, pair): (usize, &Pair)| {
             let here = self.fundamental(pair, correction);
             let sides: Vec<[DMat3; 2]> = around
                 .iter()
@@ -145,11 +145,12 @@ impl Pairs {
                     gradient,
                     sigma: SIGMA_PX,
                     weight: 1.0,
+                    block: number * BLOCKS / self.pairs.len(),
                 }
             };
             pair.matches.iter().map(row).collect::<Vec<Row>>()
         };
-        let rows: Vec<Vec<Row>> = self.pairs.par_iter().map(of_pair).collect();
+        let rows: Vec<Vec<Row>> = self.pairs.par_iter().enumerate().map(of_pair).collect();
         rows.into_iter().flatten().collect()
     }
 

@@ -32,7 +32,12 @@ pub(crate) struct Row {
     pub sigma: f64,
     /// How much it counts, 0 to 1.
     pub weight: f64,
+    /// Which of the [`BLOCKS`] of images it comes from.
+    pub block: usize,
 }
+
+/// Images are parted into so many blocks, one after the other, whose errors count as independent.
+pub(crate) const BLOCKS: usize = 8;
 
 /// How it came out.
 #[derive(Debug, Clone, PartialEq)]
@@ -144,15 +149,42 @@ pub(crate) fn minimise(
     let weights: Vec<f64> = current.iter().map(|row| scales.weigh(row)).collect();
     let (matrix, _) = normal(&current, &weights, &correction, &sigmas);
     let factor = cholesky(matrix)?;
+    let inflation = inflation(&current, &weights, &factor, &sigmas);
     let mut covariance = [[0.0; UNKNOWNS]; UNKNOWNS];
     for i in 0..UNKNOWNS {
         if sigmas[i].is_some() {
             let mut unit = [0.0; UNKNOWNS];
             unit[i] = 1.0;
-            covariance[i] = factor.solve(unit);
+            covariance[i] = factor.solve(unit).map(|value| inflation * value);
         }
     }
     Some(Solved { correction, covariance })
+}
+
+/// How much more the blocks disagree with each other than the normal matrix expects, at least 1: errors of one image are
+/// alike along a contour, and those of one image and the next are too.
+fn inflation(rows: &[Row], weights: &[f64], factor: &Cholesky, sigmas: &[Option<f64>; UNKNOWNS]) -> f64 {
+    let mut pulls = [[0.0; UNKNOWNS]; BLOCKS];
+    let mut used = [false; BLOCKS];
+    for (row, weight) in rows.iter().zip(weights).filter(|(_, weight)| **weight > 0.0) {
+        used[row.block] = true;
+        for i in (0..UNKNOWNS).filter(|&i| sigmas[i].is_some()) {
+            pulls[row.block][i] += weight * row.residual * row.gradient[i];
+        }
+    }
+    let blocks = used.iter().filter(|used| **used).count() as f64;
+    let free = sigmas.iter().filter(|sigma| sigma.is_some()).count() as f64;
+    if blocks < 2.0 || free < 1.0 {
+        return 1.0;
+    }
+    let squares: f64 = pulls
+        .iter()
+        .map(|pull| {
+            let moved = factor.solve(*pull);
+            pull.iter().zip(moved).map(|(a, b)| a * b).sum::<f64>()
+        })
+        .sum();
+    (squares / free * blocks / (blocks - 1.0)).max(1.0)
 }
 
 /// Weighted squares of the residuals, and what the prior adds.
@@ -283,6 +315,7 @@ mod tests {
                 gradient,
                 sigma: 0.3,
                 weight: 1.0,
+                block: number as usize % BLOCKS,
             }
         });
         Some(rows.collect())

@@ -66,5 +66,5 @@ fn a_hand_eye_three_degrees_off_is_found_along_its_path() {
     turned.sort_by(f64::total_cmp);
     distances.sort_by(f64::total_cmp);
     assert!(turned[turned.len() / 2] < 0.6, "{turned:?}");
-    assert!(distances[distances.len() / 2] < 0.3, "{distances:?}");
+    assert!(distances[distances.len() / 2] < 0.5, "{distances:?}");
 }
