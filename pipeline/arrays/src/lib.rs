@@ -6,7 +6,7 @@
 //! | numpy `.npz`, `.safetensors` | [`ArrayFile`] | [`write_npz`] |
 //! | HDF5 | [`Hdf5File`] | |
 //! | OpenEXR, one flat part | [`FlatExr`] | [`write_exr`] |
-//! | PNG | [`Png`] | [`write_png`] |
+//! | PNG | [`Png`] | [`write_png`], [`grey_png_bytes`], [`grey16_png_bytes`] |
 //!
 //! Readers meet files of strangers: what a header announces is compared with the length of the file (no file takes more
 //! memory than its [`budget`]), and with fixed limits, before anything is allocated for it. What is no file - a pipe, a
@@ -47,5 +47,5 @@ pub use hdf5::{Hdf5Dataset, Hdf5Element, Hdf5File, Hdf5Value};
 pub use named::{Array, ArrayFile};
 pub use npy::{NpyFile, npy_bytes, npy_header, npy_numbers};
 pub use npz::{NamedArray, write_npz};
-pub use png::{Png, png_bytes, write_png};
+pub use png::{Png, grey_png_bytes, grey16_png_bytes, png_bytes, write_png};
 pub use shape::ANY;

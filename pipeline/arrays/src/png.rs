@@ -95,12 +95,43 @@ pub fn png_bytes(size: (u32, u32), rgb: &[u8]) -> std::io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-fn encode(out: impl std::io::Write, (width, height): (u32, u32), rgb: &[u8]) -> std::io::Result<()> {
-    if rgb.len() as u64 != u64::from(width) * u64::from(height) * 3 {
-        let what = format!("an image of {width}x{height} pixels was given {} bytes", rgb.len());
+/// The bytes of an 8-bit grey image of `(width, height)` pixels. `[H, W]`
+///
+/// # Errors
+/// When there are other than so many pixels.
+pub fn grey_png_bytes(size: (u32, u32), grey: &[u8]) -> std::io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    encode_as(&mut bytes, size, grey, ExtendedColorType::L8)?;
+    Ok(bytes)
+}
+
+/// The bytes of a 16-bit grey image of `(width, height)` pixels. `[H, W]`
+///
+/// # Errors
+/// When there are other than so many pixels.
+pub fn grey16_png_bytes(size: (u32, u32), grey: &[u16]) -> std::io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    // The encoder takes numbers as this machine has them.
+    encode_as(&mut bytes, size, bytemuck::cast_slice(grey), ExtendedColorType::L16)?;
+    Ok(bytes)
+}
+
+fn encode(out: impl std::io::Write, size: (u32, u32), rgb: &[u8]) -> std::io::Result<()> {
+    encode_as(out, size, rgb, ExtendedColorType::Rgb8)
+}
+
+fn encode_as(
+    out: impl std::io::Write,
+    (width, height): (u32, u32),
+    bytes: &[u8],
+    kind: ExtendedColorType,
+) -> std::io::Result<()> {
+    let per_pixel = u64::from(kind.bits_per_pixel()) / 8;
+    if bytes.len() as u64 != u64::from(width) * u64::from(height) * per_pixel {
+        let what = format!("an image of {width}x{height} pixels was given {} bytes", bytes.len());
         return Err(std::io::Error::other(what));
     }
     PngEncoder::new(out)
-        .write_image(rgb, width, height, ExtendedColorType::Rgb8)
+        .write_image(bytes, width, height, kind)
         .map_err(std::io::Error::other)
 }

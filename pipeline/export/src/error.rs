@@ -5,7 +5,7 @@ use std::path::PathBuf;
 /// Result of this crate.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// What can be wrong with a file of another program.
+/// What can be wrong with a file of another program, or with what is to become one.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -25,4 +25,16 @@ pub enum Error {
         /// Why.
         source: std::io::Error,
     },
+    /// A form of file cannot hold what it was given.
+    #[error("{what}")]
+    Unfit {
+        /// What, and which part of it.
+        what: String,
+    },
+    /// A file could not be written.
+    #[error(transparent)]
+    Write(#[from] rogs_files::Error),
+    /// A camera has no pose at a frame.
+    #[error(transparent)]
+    Geometry(#[from] rogs_geometry::Error),
 }

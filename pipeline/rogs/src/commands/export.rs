@@ -1,4 +1,5 @@
-//! `rogs export`: what other programs take from a run. `export_field` has what they take from a field.
+//! `rogs export`: what other programs take from a run. `export_field` has what they take from a field,
+//! `export_clip` what they take from a clip.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -21,7 +22,7 @@ use serde::Serialize;
 
 use crate::output;
 
-/// Writes what other programs take from a run or a field.
+/// Writes what other programs take from a run, a clip or a field.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -31,6 +32,7 @@ pub(crate) struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum What {
     Field(super::export_field::Args),
+    Clip(super::export_clip::Args),
     RolloutInputs(RolloutInputs),
 }
 
@@ -95,6 +97,7 @@ const CONVENTION: &str = "row i: translation (m) and the first two columns of th
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     match &args.what {
         What::Field(args) => super::export_field::run(args),
+        What::Clip(args) => super::export_clip::run(args),
         What::RolloutInputs(args) => rollout_inputs(args),
     }
 }
