@@ -21,9 +21,10 @@ import sys
 try:
     from compression.zstd import decompress as _zstd
 except ImportError:
-    import zstandard
 
     def _zstd(data):
+        import zstandard
+
         return zstandard.ZstdDecompressor().decompress(data)
 
 
@@ -84,10 +85,7 @@ class File:
 
     def head(self):
         """The small structured data of a record of rogs, as a dict, with that of further streams by their names."""
-        layouts = HEADS[self.schema]
-        heads = {name: read(self._cursor(name)) for name, read in layouts.items() if name in self.streams}
-        first, *rest = heads
-        return heads[first] | {name: heads[name] for name in rest}
+        return head(self.schema, self.streams, self._cursor)
 
     def array(self, name):
         """A whole stream as numpy: chunks one behind the other, the first axis counts elements."""
@@ -403,6 +401,13 @@ HEADS = {
         "renders": _whole(_renders),
     },
 }
+
+
+def head(schema, streams, cursor):
+    """The head of a record of a schema with streams of these names; `cursor` gives that of a stream."""
+    heads = {name: read(cursor(name)) for name, read in HEADS[schema].items() if name in streams}
+    first, *rest = heads
+    return heads[first] | {name: heads[name] for name in rest}
 
 
 def _describe(file, stream, with_bytes):

@@ -340,23 +340,39 @@ impl Reader {
     /// # Errors
     /// When the stream is missing, damaged, or of another type, shape, unit or frame.
     pub fn stream<T: Element>(&self, spec: &StreamSpec, shape: &[u32]) -> Result<Vec<T>> {
-        let entries = self.entries_of(self.matching::<T>(spec, shape)?);
-        let size = size_of::<T>();
-        // The sum was checked against the limit when the file was opened.
-        let total: usize = entries.iter().map(|entry| entry.decoded as usize / size).sum();
-        let mut values = self.buffer::<T>(total)?;
-        let mut rest = values.as_mut_slice();
-        let mut targets = Vec::with_capacity(entries.len());
-        for entry in entries {
-            let (target, after) = rest.split_at_mut(entry.decoded as usize / size);
+        let number = self.matching::<T>(spec, shape)?;
+        let mut values = self.buffer::<T>(self.decoded_bytes(number) / size_of::<T>())?;
+        self.fill(number, bytemuck::cast_slice_mut(&mut values))?;
+        Ok(values)
+    }
+
+    /// Bytes of a whole stream when decoded. The sum was checked against the limit when the file was opened.
+    fn decoded_bytes(&self, number: u32) -> usize {
+        self.entries_of(number).iter().map(|entry| entry.decoded as usize).sum()
+    }
+
+    /// The decoded bytes of a whole stream, whatever its type.
+    ///
+    /// # Errors
+    /// When the stream is missing or damaged.
+    pub fn stream_bytes(&self, name: &str) -> Result<Vec<u8>> {
+        let (number, _) = self.find(name)?;
+        let mut bytes = self.buffer::<u8>(self.decoded_bytes(number))?;
+        self.fill(number, &mut bytes)?;
+        Ok(bytes)
+    }
+
+    fn fill(&self, number: u32, mut rest: &mut [u8]) -> Result<()> {
+        let mut targets = Vec::new();
+        for entry in self.entries_of(number) {
+            let (target, after) = rest.split_at_mut(entry.decoded as usize);
             targets.push((entry, target));
             rest = after;
         }
         targets
             .into_par_iter()
-            .map(|(entry, target)| self.decode_chunk(entry, bytemuck::cast_slice_mut(target)))
-            .collect::<Result<()>>()?;
-        Ok(values)
+            .map(|(entry, target)| self.decode_chunk(entry, target))
+            .collect()
     }
 
     /// One chunk of a stream, by its coordinates. Only its bytes are read.

@@ -4,7 +4,7 @@
 mod common;
 
 use common::Scratch;
-use rogs_r4c::{Error, Reader, Record, inspect, read_header, read_record, verify, write_record};
+use rogs_r4c::{Error, FieldFile, Reader, Record, inspect, read_header, read_record, verify, write_record};
 use rogs_schemas::records::clip::{Clip, SourceView};
 use rogs_schemas::records::field::Field;
 use rogs_schemas::{CameraIndex, FrameIndex};
@@ -234,4 +234,23 @@ fn inspect_tells_ranges_and_sizes() {
     let depth_json = streams.iter().find(|stream| stream["name"] == "depth_m").unwrap();
     assert_eq!(depth_json["unit"], "metre");
     assert_eq!(depth_json["stored_bytes"].as_u64().unwrap(), depth.totals.stored_bytes);
+}
+
+#[test]
+fn a_field_is_read_time_by_time() {
+    let field = common::field();
+    let scratch = Scratch::new("field-by-time");
+    let path = scratch.file("field.r4c");
+    write_record(&path, &field, &common::provenance("lift")).unwrap();
+    let file = FieldFile::open(&path).unwrap();
+    let times: Vec<f64> = field.slices.iter().map(|slice| slice.time).collect();
+    assert_eq!(file.times(), times);
+    let mut put_together = file.base().unwrap();
+    put_together.slices = (0..times.len()).map(|index| file.slice(index).unwrap()).collect();
+    put_together.query_state.clone_from(&field.query_state);
+    assert_eq!(format!("{put_together:?}"), format!("{field:?}"));
+    assert!(file.slice(times.len()).unwrap_err().to_string().contains("no stored time"));
+    let bytes = Reader::open(&path).unwrap().stream_bytes("position_m").unwrap();
+    assert_eq!(bytes.len(), 4 * field.position_m.len());
+    assert_eq!(bytes[..4], field.position_m[0].to_le_bytes());
 }

@@ -37,6 +37,13 @@ pub struct Render {
 }
 
 impl Render {
+    /// The colours as 8-bit pixels, clipped to 0..1 and rounded. `[H, W, 3]`
+    #[must_use]
+    pub fn rgb_bytes(&self) -> Vec<u8> {
+        let byte = |value: &f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
+        self.rgb.iter().map(byte).collect()
+    }
+
     /// Expected depth in metres of a render in internal units. `[H, W]`
     #[must_use]
     pub fn depth_expected_m(&self) -> Vec<f32> {

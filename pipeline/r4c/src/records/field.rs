@@ -1,5 +1,8 @@
 //! How a field lies in its container: per-Gaussian arrays in one chunk per source view (and time).
 
+use std::path::Path;
+
+use rayon::prelude::*;
 use rogs_schemas::records::check::{area, count, nonzero, product};
 use rogs_schemas::records::clip::SourceView;
 use rogs_schemas::records::field::{Field, RAW_CHANNELS, TimeSlice, WeightsInfo};
@@ -166,6 +169,89 @@ impl Record for Field {
         };
         field.check().map_err(wrong)?;
         Ok(field)
+    }
+}
+
+/// A field of which only the times that are asked for are read.
+pub struct FieldFile {
+    reader: Reader,
+    head: Head,
+}
+
+impl FieldFile {
+    /// Opens a field: its head and nothing else.
+    ///
+    /// # Errors
+    /// When the file is missing, damaged, no field, or its head contradicts itself.
+    pub fn open(path: &Path) -> Result<Self> {
+        let reader = Reader::open(path)?;
+        reader.expect_schema(Field::SCHEMA)?;
+        let head: Head = reader.value("field")?;
+        let area = area(head.height, head.width).map_err(|what| reader.inconsistent(what))?;
+        product("Gaussians", &[area, head.views.len()]).map_err(|what| reader.inconsistent(what))?;
+        Ok(Self { reader, head })
+    }
+
+    /// Stored normalised times, ascending.
+    #[must_use]
+    pub fn times(&self) -> &[f64] {
+        &self.head.times
+    }
+
+    /// Everything but the slices and the state for other times.
+    ///
+    /// # Errors
+    /// When the file is damaged or its arrays contradict each other.
+    pub fn base(&self) -> Result<Field> {
+        let (head, reader) = (&self.head, &self.reader);
+        let field = Field {
+            clip_id: head.clip_id.clone(),
+            frame_count: head.frame_count,
+            height: head.height,
+            width: head.width,
+            views: head.views.clone(),
+            recon_from_base: head.recon_from_base,
+            weights: head.weights.clone(),
+            position_m: reader.stream(&POSITION, &[3])?,
+            base_raw: reader.stream(&BASE_RAW, &[RAW_CHANNELS as u32])?,
+            support: reader.stream(&SUPPORT, &[])?,
+            link: reader.stream(&LINK, &[])?,
+            scale_cap_iu: reader.stream(&SCALE_CAP, &[])?,
+            slices: Vec::new(),
+            query_state: Vec::new(),
+        };
+        field.check().map_err(|what| reader.inconsistent(what))?;
+        Ok(field)
+    }
+
+    /// The slice of the stored time with this index; [`Field::check`] of a field that has it sees whether it fits.
+    ///
+    /// # Errors
+    /// When there is no such time, or the file is damaged.
+    pub fn slice(&self, index: usize) -> Result<TimeSlice> {
+        let time = self.head.times.get(index).copied();
+        let missing = || self.reader.inconsistent(format!("there is no stored time {index}"));
+        let mut slice = TimeSlice {
+            time: time.ok_or_else(missing)?,
+            displacement_m: Vec::new(),
+            gate: Vec::new(),
+            moving_raw: Vec::new(),
+        };
+        let of_view = |view: u32| -> Result<(Vec<f32>, Vec<u8>, Vec<f32>)> {
+            let (reader, at) = (&self.reader, [view, index as u32, 0, 0]);
+            Ok((
+                reader.read_chunk(&DISPLACEMENT, &[3], at)?,
+                reader.read_chunk(&GATE, &[], at)?,
+                reader.read_chunk(&MOVING_RAW, &[RAW_CHANNELS as u32], at)?,
+            ))
+        };
+        let views = (0..self.head.views.len() as u32).into_par_iter();
+        for (displacement, gate, moving) in views.map(of_view).collect::<Result<Vec<_>>>()? {
+            slice.displacement_m.extend(displacement);
+            slice.gate.extend(gate);
+            slice.moving_raw.extend(moving);
+        }
+        Ok(slice)
     }
 }
 

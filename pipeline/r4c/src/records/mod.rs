@@ -8,3 +8,5 @@ mod references;
 mod refinement;
 mod robot;
 mod scores;
+
+pub use field::FieldFile;

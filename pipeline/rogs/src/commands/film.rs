@@ -17,7 +17,7 @@ use rogs_video::{Error as FilmError, Film, FilmForm};
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::scene::{Scene, bytes_of};
+use super::scene::Scene;
 use super::viewpoint::Shot;
 use crate::output;
 
@@ -400,7 +400,7 @@ impl Panels {
         reference: Option<(CameraIndex, usize)>,
         range: (f32, f32),
     ) -> anyhow::Result<Vec<u8>> {
-        let render = bytes_of(view);
+        let render = view.rgb_bytes();
         let reference = match reference.zip(scene.clip()) {
             Some(((camera, frame), clip)) => self.reference(clip, camera, frame)?,
             None => Vec::new(),

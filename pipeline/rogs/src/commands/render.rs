@@ -16,7 +16,7 @@ use serde::Serialize;
 use super::export_field::AxesArg;
 use super::film::{self, FilmArgs, Shooting};
 use super::network::BesideArgs;
-use super::scene::{FieldFile, Scene, bytes_of, read_ply};
+use super::scene::{FieldFile, Scene, read_ply};
 use super::viewpoint::{CAMERA_HELP, Place, Scenery, Shot, Viewpoint};
 use crate::output::{self, Items};
 
@@ -446,7 +446,7 @@ fn write(args: &ViewArgs, stem: &Path, view: &Render, unit: LengthUnit) -> anyho
         PathBuf::from(path)
     };
     let png = named(".png");
-    write_png(&png, (view.width as u32, view.height as u32), &bytes_of(view))?;
+    write_png(&png, (view.width as u32, view.height as u32), &view.rgb_bytes())?;
     files.push(png);
     let mut plane = |ending: &str, channel: &str, values: Vec<f32>| -> anyhow::Result<()> {
         let path = named(ending);

@@ -12,16 +12,10 @@ use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::units::LengthUnit;
-use rogs_splat::{Gaussians, Render};
+use rogs_splat::Gaussians;
 
 use super::network::{BesideArgs, Network, insert};
 use super::viewpoint::Scenery;
-
-/// The 8-bit pixels of a render. `[H, W, 3]`
-pub(crate) fn bytes_of(view: &Render) -> Vec<u8> {
-    let byte = |value: &f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
-    view.rgb.iter().map(byte).collect()
-}
 
 /// A field as it was read, with the network that answers other times where one is needed.
 pub(crate) struct FieldFile {

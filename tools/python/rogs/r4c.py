@@ -1,0 +1,1 @@
+../../../docs/python/r4c.py
