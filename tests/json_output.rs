@@ -29,7 +29,13 @@ const RUNS: [&str; 12] = [
     "rogs-gc",
     "rogs-inspect",
 ];
-const PICTURES: [&str; 4] = ["rogs-render", "rogs-query", "rogs-metrics", "rogs-export-field"];
+const PICTURES: [&str; 5] = [
+    "rogs-render",
+    "rogs-query",
+    "rogs-metrics",
+    "rogs-export-field",
+    "rogs-export-clip",
+];
 const DATA: [&str; 6] = [
     "rogs-fk",
     "rogs-cohort",
@@ -298,6 +304,21 @@ fn commands_that_draw_and_compare_pictures() {
         "field.ply",
     ];
     assert_eq!(asking.ask(0, &export)["times"], json!([0.0]));
+    let clip_file = format!("run/clips/{clip}/clip.r4c");
+    let set = [
+        "export",
+        "clip",
+        &clip_file,
+        "--format",
+        "nerfstudio",
+        "--frames",
+        "0",
+        "--cameras",
+        "source",
+        "--out",
+        "set",
+    ];
+    assert_eq!(asking.ask(0, &set)["held_out"], 0);
     let images = format!("data/episodes/{clip}/wrist");
     assert_eq!(length(&asking.ask(0, &["metrics", &images, &images])["pairs"]), 17);
     asking.asked(&PICTURES);

@@ -249,7 +249,12 @@ fn a_field_is_read_time_by_time() {
     put_together.slices = (0..times.len()).map(|index| file.slice(index).unwrap()).collect();
     put_together.query_state.clone_from(&field.query_state);
     assert_eq!(format!("{put_together:?}"), format!("{field:?}"));
-    assert!(file.slice(times.len()).unwrap_err().to_string().contains("no stored time"));
+    assert!(
+        file.slice(times.len())
+            .unwrap_err()
+            .to_string()
+            .contains("no stored time")
+    );
     let bytes = Reader::open(&path).unwrap().stream_bytes("position_m").unwrap();
     assert_eq!(bytes.len(), 4 * field.position_m.len());
     assert_eq!(bytes[..4], field.position_m[0].to_le_bytes());

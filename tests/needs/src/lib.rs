@@ -24,6 +24,7 @@
 //! | `libx264` | an `ffmpeg` that encodes H.264 |
 //! | `parallel` | GNU parallel |
 //! | `numpy`, `pillow`, `opencv`, `zstandard`, `hyperqueue`, `pinocchio` | the package of `ROGS_PEER_PYTHON` (else `python3`) |
+//! | `plyfile`, `pycolmap`, `fourdgs` | the same |
 //! | `qemu` | `qemu-x86_64-static`, which emulates processors, on an x86-64 machine |
 //! | `bash` | the shell |
 //! | `cc` | a C compiler |

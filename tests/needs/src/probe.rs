@@ -34,6 +34,9 @@ pub(crate) fn missing(need: &str, why: &str) -> Result<Option<String>, String> {
             "needs Python with pinocchio and example-robot-data (ROGS_PEER_PYTHON)",
         ),
         "zstandard" => unless(imports("zstandard"), "needs Python with zstandard (ROGS_PEER_PYTHON)"),
+        "plyfile" => unless(imports("plyfile"), "needs Python with plyfile (ROGS_PEER_PYTHON)"),
+        "pycolmap" => unless(imports("pycolmap"), "needs Python with pycolmap (ROGS_PEER_PYTHON)"),
+        "fourdgs" => unless(imports("fourdgs"), "needs Python with fourdgs (ROGS_PEER_PYTHON)"),
         "cc" => unless(on_path("cc"), "needs a C compiler (cc)"),
         "qemu" => unless(
             cfg!(target_arch = "x86_64") && on_path("qemu-x86_64-static"),

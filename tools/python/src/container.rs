@@ -98,7 +98,12 @@ impl Container {
         if self.reader.has(name) {
             return Ok(());
         }
-        let names: Vec<&str> = self.reader.streams().iter().map(|stream| stream.name.as_str()).collect();
+        let names: Vec<&str> = self
+            .reader
+            .streams()
+            .iter()
+            .map(|stream| stream.name.as_str())
+            .collect();
         Err(PyKeyError::new_err(format!(
             "`{}` has no stream `{name}` (streams: {})",
             self.path.display(),

@@ -3,9 +3,24 @@
 use pyo3::exceptions::{PyException, PyFileNotFoundError, PyOSError};
 use pyo3::prelude::*;
 
-pyo3::create_exception!(rogs, RogsError, PyException, "Something of rogs could not be done; the message says what to do.");
-pyo3::create_exception!(rogs, DamagedError, RogsError, "A file is cut off or damaged, or its parts contradict each other.");
-pyo3::create_exception!(rogs, WrongKindError, RogsError, "A file is whole but is something else than was asked for.");
+pyo3::create_exception!(
+    rogs,
+    RogsError,
+    PyException,
+    "Something of rogs could not be done; the message says what to do."
+);
+pyo3::create_exception!(
+    rogs,
+    DamagedError,
+    RogsError,
+    "A file is cut off or damaged, or its parts contradict each other."
+);
+pyo3::create_exception!(
+    rogs,
+    WrongKindError,
+    RogsError,
+    "A file is whole but is something else than was asked for."
+);
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let py = module.py();

@@ -2,7 +2,10 @@
 
 use std::path::PathBuf;
 
-use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
+use numpy::{
+    PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
+    PyUntypedArrayMethods,
+};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -210,11 +213,15 @@ impl Gaussians {
                 RasterCamera::new(&camera.in_frame(&self.recon_from_base.inverse()), self.unit)
             }
             (other, _) => {
-                return Err(PyValueError::new_err(format!("frame `{other}`: expected `base` or `recon`")));
+                return Err(PyValueError::new_err(format!(
+                    "frame `{other}`: expected `base` or `recon`"
+                )));
             }
         };
         raster.validate().map_err(said)?;
-        let view = py.detach(|| render(&self.inner, &raster, &RasterConfig::default())).map_err(said)?;
+        let view = py
+            .detach(|| render(&self.inner, &raster, &RasterConfig::default()))
+            .map_err(said)?;
         let (height, width) = (view.height, view.width);
         let out = PyDict::new(py);
         let image = view.rgb_bytes();

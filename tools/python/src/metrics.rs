@@ -51,9 +51,7 @@ fn variant(name: &str) -> PyResult<SsimVariant> {
         SsimVariant::Torchmetrics,
     ];
     let found = all.into_iter().find(|variant| variant.name() == name);
-    found.ok_or_else(|| {
-        PyValueError::new_err(format!("variants are {}", all.map(SsimVariant::name).join(", ")))
-    })
+    found.ok_or_else(|| PyValueError::new_err(format!("variants are {}", all.map(SsimVariant::name).join(", "))))
 }
 
 #[pyfunction]

@@ -70,9 +70,19 @@ impl RobotModel {
             let own = &flat[row * joints.len()..(row + 1) * joints.len()];
             let named = joints.iter().map(String::as_str).zip(own.iter().copied());
             let state = self.model.joint_state(named)?;
-            Ok(self.model.fk(&state).iter().flat_map(|pose| pose.to_matrix4()).collect())
+            Ok(self
+                .model
+                .fk(&state)
+                .iter()
+                .flat_map(|pose| pose.to_matrix4())
+                .collect())
         };
-        let poses = py.detach(|| (0..rows).into_par_iter().map(of).collect::<rogs_robot::Result<Vec<_>>>());
+        let poses = py.detach(|| {
+            (0..rows)
+                .into_par_iter()
+                .map(of)
+                .collect::<rogs_robot::Result<Vec<_>>>()
+        });
         PyArray1::from_vec(py, poses.map_err(said)?.concat()).reshape([rows, links, 4, 4])
     }
 }
