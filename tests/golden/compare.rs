@@ -4,6 +4,7 @@ use std::fmt::Debug;
 use std::path::Path;
 
 use rogs_r4c::{Dtype, Reader, Record, StreamInfo, read_record};
+use rogs_schemas::records::agreement::Agreements;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::field::Field;
@@ -196,6 +197,7 @@ fn compare_records(expected: &Path, found: &Path, rule: Rule) -> Result<(), Stri
             "rogs.robot" => debug::<RobotMaps>(path),
             "rogs.conditioning" => debug::<Conditioning>(path),
             "rogs.references" => debug::<References>(path),
+            "rogs.agreement" => debug::<Agreements>(path),
             "rogs.field" => debug::<Field>(path),
             "rogs.refinement" => debug::<Refinement>(path),
             "rogs.scores" => debug::<Scores>(path),

@@ -57,6 +57,7 @@ fn every_schema_version_stays_readable() {
     stays("robot", &common::robot());
     stays("conditioning", &common::conditioning());
     stays("references", &common::references());
+    stays("agreement", &common::agreement());
     stays("field", &common::field());
     stays("refinement", &common::refinement());
     stays("scores", &common::scores());
@@ -96,6 +97,7 @@ fn python_reads_the_same_bytes() {
         "robot-1.0",
         "conditioning-1.0",
         "references-1.0",
+        "agreement-1.0",
         "field-1.0",
         "refinement-1.0",
         "scores-1.0",

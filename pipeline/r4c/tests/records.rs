@@ -43,6 +43,7 @@ fn every_record_survives() {
     survives("robot", &common::robot());
     survives("conditioning", &common::conditioning());
     survives("references", &common::references());
+    survives("agreement", &common::agreement());
     survives("field", &common::field());
     survives("refinement", &common::refinement());
     survives("scores", &common::scores());

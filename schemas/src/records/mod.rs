@@ -1,5 +1,6 @@
 //! The records that pass from stage to stage, one module each, with their checks.
 
+pub mod agreement;
 pub mod check;
 pub mod clip;
 pub mod conditioning;

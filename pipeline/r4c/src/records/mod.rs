@@ -1,5 +1,6 @@
 //! How each record lies in its container: its streams, in the order of `docs/spec/r4c.md`.
 
+mod agreement;
 mod arrays;
 mod clip;
 mod conditioning;

@@ -5,6 +5,9 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use rogs_schemas::records::agreement::{
+    Agreements, CameraAgreement, Estimate, Offset, TriedMistake, Verdict, ViewAgreement, ViewState,
+};
 use rogs_schemas::records::clip::{
     CameraMount, CameraRole, Clip, ClipCamera, DepthReference, RobotStates, Rollout, SourceView, Tracks,
 };
@@ -250,6 +253,59 @@ pub(crate) fn references() -> References {
         ],
         tracks: clip().tracks,
         notes: vec!["stereo pair `ext1`, `ext1_right`: no stereo depth".into()],
+    }
+}
+
+pub(crate) fn agreement() -> Agreements {
+    let told = |at: f32| ViewAgreement {
+        state: ViewState::Measured,
+        shift_px: [0.5 * at, -0.25],
+        sigma_px: 0.125,
+        offset_m: 0.002,
+        sigma_m: 0.0005,
+        overlay: 0.75,
+    };
+    let tried = |name: &str, overlay| TriedMistake {
+        name: name.into(),
+        words: format!("it is {name}"),
+        overlay,
+    };
+    let camera = |camera, verdict, mistake: Option<TriedMistake>| CameraAgreement {
+        camera: CameraIndex(camera),
+        name: format!("camera {camera}"),
+        verdict,
+        tried: mistake.iter().cloned().chain([tried("other", -0.01)]).collect(),
+        mistake,
+        why: String::new(),
+        overlay: 0.25,
+        offset: Some(Offset {
+            px: 0.75,
+            sigma_px: 0.125,
+            m: 0.002,
+        }),
+        lag_frames: Some(Estimate {
+            value: -1.5,
+            sigma: 0.25,
+        }),
+        drift_m: None,
+        views: (0..FRAMES)
+            .map(|frame| match frame {
+                0 => ViewAgreement::unknown(ViewState::TooFewEdges),
+                _ => told(frame as f32),
+            })
+            .collect(),
+        link_px: vec![f32::NAN, 0.5].repeat(FRAMES),
+        link_m: vec![f32::NAN, 0.001].repeat(FRAMES),
+    };
+    Agreements {
+        clip_id: "clip".parse().unwrap(),
+        setting: "recorded".into(),
+        frame_count: FRAMES as u32,
+        link_names: vec!["base".into(), "hand".into()],
+        cameras: vec![
+            camera(0, Verdict::Good, None),
+            camera(2, Verdict::Wrong, Some(tried("inverted-pose", 0.5))),
+        ],
     }
 }
 
