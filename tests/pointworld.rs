@@ -36,7 +36,7 @@ fn a_run_takes_the_caches_of_its_episodes_and_scores_by_them() {
     let spec = std::fs::read(path(ROBOT_FOLDER).join(ROBOT_SPEC_FILE)).unwrap();
     let spec: RobotSpec = serde_json::from_slice(&spec).unwrap();
     let text = format!(
-        "[run]\nname = \"cached\"\nout = \"run\"\n[input]\nroot = \"{EPISODES_FOLDER}\"\npointworld = \"cache\"\n\
+        "[run]\nname = \"cached\"\nout = \"run\"\nagreement = false\n[input]\nroot = \"{EPISODES_FOLDER}\"\npointworld = \"cache\"\n\
          [robot]\nurdf = \"{ROBOT_FOLDER}/{ROBOT_URDF_FILE}\"\n[robot.spec]\n{}\n\
          [ingest]\nheight = 84\nwidth = 140\n[refine]\npreset = \"ci\"\nupdates = 1\n",
         toml::to_string(&spec).unwrap()

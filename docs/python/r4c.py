@@ -358,6 +358,28 @@ _references_made = _row(
     tracks_origin=_maybe(_text),
     notes=_many(_text),
 )
+_tried = _row(name=_text, words=_text, overlay=_f64)
+_estimate = _row(value=_f64, sigma=_f64)
+_agreement = _row(
+    clip_id=_text,
+    setting=_text,
+    frame_count=_u32,
+    link_names=_many(_text),
+    cameras=_many(
+        _row(
+            camera=_u32,
+            name=_text,
+            verdict=_text,
+            mistake=_maybe(_tried),
+            why=_text,
+            overlay=_f64,
+            offset=_maybe(_row(px=_f64, sigma_px=_f64, m=_f64)),
+            tried=_many(_tried),
+            lag_frames=_maybe(_estimate),
+            drift_m=_maybe(_estimate),
+        )
+    ),
+)
 _image = _row(
     camera=_text,
     source_view=_flag,
@@ -393,6 +415,7 @@ HEADS = {
     "rogs.robot": {"robot": _whole(_robot)},
     "rogs.conditioning": {"conditioning": _whole(_conditioning)},
     "rogs.references": {"references": _whole(_references_made)},
+    "rogs.agreement": {"agreement": _whole(_agreement)},
     "rogs.field": {"field": _whole(_field)},
     "rogs.refinement": {"refinement": _whole(_refinement)},
     "rogs.scores": {

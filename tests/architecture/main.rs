@@ -78,6 +78,7 @@ fn dependencies_point_one_way() {
         "ingest",
         "robot-maps",
         "conditioning",
+        "agreement-stage",
         "references",
         "lift",
         "refine",
@@ -190,6 +191,7 @@ fn only_the_table_names_stages() {
                 "ingest",
                 "robot-maps",
                 "conditioning",
+                "agreement",
                 "references",
                 "lift",
                 "refine",
@@ -221,7 +223,7 @@ fn only_the_codec_names_bincode() {
 /// What is reconstructed is not what is scored: a stage asks the clip for the one or the other, and gets two types.
 #[test]
 fn stages_ask_a_clip_for_observations_or_targets() {
-    let stages = ["robot-maps", "conditioning", "lift", "refine", "score"]
+    let stages = ["robot-maps", "conditioning", "agreement", "lift", "refine", "score"]
         .map(|name| root().join("stages").join(name).join("src"));
     for path in sources()
         .into_iter()

@@ -11,13 +11,16 @@ mod agreement;
 pub mod audit;
 mod colour;
 mod contour;
+mod following;
 mod measure;
 mod motion;
 mod shift;
+mod solve;
 mod view;
 
 pub use agreement::{Agreeing, Agreement, DepthAgreement, Why, agreement};
 pub use contour::{ContourKind, ContourPoint, contours};
+pub use following::{Following, MovedView, follow, link_offsets};
 pub use measure::{EdgeSample, Measurement, Settings, measure};
 pub use motion::{MotionAgreement, MovingFrame, motion};
 pub use shift::{ImageShift, common_shift};

@@ -7,9 +7,9 @@ use crate::measure::EdgeSample;
 /// Edges this far from a shift count half in the first, wide vote, pixels.
 const VOTE_PX: f64 = 1.5;
 /// Residuals beyond this many standard deviations do not count (Tukey's constant).
-const TUKEY: f64 = 4.685;
+pub(crate) const TUKEY: f64 = 4.685;
 /// Neighbouring contour points share most of the pixels that their edges come from: so many count as one.
-const TOGETHER: f64 = 4.0;
+pub(crate) const TOGETHER: f64 = 4.0;
 
 /// A shift of the whole robot in the image.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -83,8 +83,7 @@ fn dataset(folder: &Path, clips: usize) -> Anyhow<PathBuf> {
         )?;
     }
     let manifest = folder.join("scale.toml");
-    let text =
-        "[run]\nname = \"scale\"\nout = \"run\"\n[input]\nroot = \"episodes\"\n[robot]\nurdf = \"robot/robot.urdf\"\n";
+    let text = "[run]\nname = \"scale\"\nout = \"run\"\nagreement = false\n[input]\nroot = \"episodes\"\n[robot]\nurdf = \"robot/robot.urdf\"\n";
     std::fs::write(&manifest, text)?;
     Ok(manifest)
 }

@@ -350,6 +350,14 @@ stages! {
         blind: true,
         ..StageSpec::PLAIN
     };
+    /// Whether the robot lies on the images.
+    Agreement = "agreement": StageSpec {
+        inputs: &[CLIP, ROBOT, Input::of(ROBOT_MODEL, Provider::Robot)],
+        filled: &[("robot", Filled::RobotSpec)],
+        figures: figures(1.0, 0.1, 150.0),
+        outputs: &[Output::new("agreement", "agreement.r4c")],
+        ..StageSpec::PLAIN
+    };
     /// What a clip is scored against, where it comes without.
     References = "references": StageSpec {
         inputs: &[CLIP, ROBOT],

@@ -10,7 +10,7 @@ use rogs_schemas::selection::{
     CohortCounts, RngNote, SELECTION_ALGORITHM, SELECTION_VERSION, SelectedEpisode, Selection,
 };
 
-const BASE: &str = "[run]\nname = \"toy\"\nout = \"run\"\n[robot]\nurdf = \"robot/robot.urdf\"\n";
+const BASE: &str = "[run]\nname = \"toy\"\nout = \"run\"\nagreement = false\n[robot]\nurdf = \"robot/robot.urdf\"\n";
 
 /// Ids of the clips of a manifest with this at its end.
 fn ids(workspace: &Workspace, more: &str) -> Vec<String> {

@@ -162,7 +162,7 @@ fn missing_files_are_named() {
 #[test]
 fn single_episodes_are_picked_by_id_and_named_safely() {
     let workspace = Workspace::new();
-    let base = "[run]\nname = \"toy\"\nout = \"run\"\n[robot]\nurdf = \"robot/robot.urdf\"\n";
+    let base = "[run]\nname = \"toy\"\nout = \"run\"\nagreement = false\n[robot]\nurdf = \"robot/robot.urdf\"\n";
     let with = |episodes: &str| workspace.write("toy.toml", &format!("{base}{episodes}"));
     with("[[episodes]]\nroot = \"episodes\"\nselect = \"bb\"\n");
     let (message, hint) = told(&workspace);
@@ -200,8 +200,7 @@ fn names_that_collide_without_regard_to_case_get_a_suffix() {
 #[test]
 fn filters_take_and_leave_out() {
     let workspace = Workspace::new();
-    let base =
-        "[run]\nname = \"toy\"\nout = \"run\"\n[robot]\nurdf = \"robot/robot.urdf\"\n[input]\nroot = \"episodes\"\n";
+    let base = "[run]\nname = \"toy\"\nout = \"run\"\nagreement = false\n[robot]\nurdf = \"robot/robot.urdf\"\n[input]\nroot = \"episodes\"\n";
     let ids = |more: &str| {
         workspace.write("toy.toml", &format!("{base}{more}"));
         workspace

@@ -25,6 +25,7 @@ pub(crate) fn run(name: &str, arguments: Vec<OsString>) -> ExitCode {
         }
         StageId::RobotMaps => stage_main_from::<rogs_robot_maps::RobotMapsStage>(arguments),
         StageId::Conditioning => stage_main_from::<rogs_conditioning::ConditioningStage>(arguments),
+        StageId::Agreement => stage_main_from::<rogs_agreement_stage::AgreementStage>(arguments),
         StageId::References => stage_main_from::<rogs_references::ReferencesStage>(arguments),
         StageId::Lift => stage_main_from::<rogs_lift::Lift>(arguments),
         StageId::Refine => stage_main_from::<rogs_refine::Refine>(arguments),
@@ -74,6 +75,7 @@ mod tests {
                 StageId::Ingest => agrees::<rogs_ingest::Ingest>(id),
                 StageId::RobotMaps => agrees::<rogs_robot_maps::RobotMapsStage>(id),
                 StageId::Conditioning => agrees::<rogs_conditioning::ConditioningStage>(id),
+                StageId::Agreement => agrees::<rogs_agreement_stage::AgreementStage>(id),
                 StageId::References => agrees::<rogs_references::ReferencesStage>(id),
                 StageId::Lift => agrees::<rogs_lift::Lift>(id),
                 StageId::Refine => agrees::<rogs_refine::Refine>(id),

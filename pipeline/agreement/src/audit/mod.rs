@@ -9,37 +9,12 @@ mod trial;
 
 pub use footage::{Filmed, Footage, Mount};
 pub use mistake::Mistake;
+pub use rogs_schemas::records::agreement::Verdict;
 
 use crate::Result;
 use crate::agreement::Why;
 use camera::{Found, all_frames, suppositions_of};
 use trial::{Supposed, Trials};
-
-/// What an audit says of a camera.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verdict {
-    /// The robot lies on the images.
-    Good,
-    /// It lies beside them by little, or nothing tried fits.
-    Suspect,
-    /// It does not, and a supposition fits much better.
-    Wrong,
-    /// It cannot be told.
-    CannotTell,
-}
-
-impl Verdict {
-    /// In one or two words.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Good => "good",
-            Self::Suspect => "suspect",
-            Self::Wrong => "wrong",
-            Self::CannotTell => "cannot tell",
-        }
-    }
-}
 
 /// A supposition that was tried.
 #[derive(Debug, Clone, PartialEq)]

@@ -13,6 +13,7 @@ use super::states::Tables;
 use crate::agreement::median;
 use crate::measure::{EdgeSample, Measurement, Settings, measure};
 use crate::shift::{ImageShift, common_shift};
+use crate::solve::solve;
 use crate::view::{Surface, View};
 
 /// Contour samples below which an overlay counts less.
@@ -280,33 +281,6 @@ fn jacobian(sample: &EdgeSample, point: DVec3, lens: &Pinhole) -> [f64; 6] {
     [turn.x, turn.y, turn.z, step.x, step.y, step.z]
 }
 
-/// Solves a symmetric positive system by Cholesky's factorisation.
-fn solve(mut matrix: [[f64; 6]; 6], mut right: [f64; 6]) -> Option<[f64; 6]> {
-    for i in 0..6 {
-        for j in 0..=i {
-            let mut sum = matrix[i][j];
-            for k in 0..j {
-                sum -= matrix[i][k] * matrix[j][k];
-            }
-            if i == j {
-                if sum <= 0.0 {
-                    return None;
-                }
-                matrix[i][i] = sum.sqrt();
-            } else {
-                matrix[i][j] = sum / matrix[j][j];
-            }
-        }
-        let known: f64 = (0..i).map(|k| matrix[i][k] * right[k]).sum();
-        right[i] = (right[i] - known) / matrix[i][i];
-    }
-    for i in (0..6).rev() {
-        let known: f64 = (i + 1..6).map(|k| matrix[k][i] * right[k]).sum();
-        right[i] = (right[i] - known) / matrix[i][i];
-    }
-    Some(right)
-}
-
 /// The image as a camera without the mistake would have stored it.
 fn straight<'a>(rgb: &'a [u8], lens: &Pinhole, picture: Picture) -> Cow<'a, [u8]> {
     let (width, height) = (lens.width as usize, lens.height as usize);
@@ -332,25 +306,5 @@ fn straight<'a>(rgb: &'a [u8], lens: &Pinhole, picture: Picture) -> Cow<'a, [u8]
             let inside = |value: f64, count: usize| (value.max(0.0) as usize).min(count - 1);
             (inside(x, width), inside(y, height))
         }),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn cholesky_solves() {
-        let mut matrix = [[0.0; 6]; 6];
-        for i in 0..6 {
-            for j in 0..6 {
-                matrix[i][j] = 1.0 / (1 + i + j) as f64 + if i == j { 1.0 } else { 0.0 };
-            }
-        }
-        let truth = [1.0, -2.0, 3.0, 0.5, -0.25, 4.0];
-        let right = std::array::from_fn(|i| (0..6).map(|j| matrix[i][j] * truth[j]).sum());
-        let found = solve(matrix, right).unwrap();
-        assert!(found.iter().zip(truth).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}");
-        assert_eq!(solve([[0.0; 6]; 6], [1.0; 6]), None);
     }
 }

@@ -131,8 +131,8 @@ fn main() -> ExitCode {
         Ok(StageId::Ingest) => stage_main_from::<Ingest>(arguments),
         Ok(StageId::RobotMaps) => stage_main_from::<Maps>(arguments),
         Ok(StageId::Conditioning) => stage_main_from::<Kappa>(arguments),
-        Ok(StageId::References) => {
-            eprintln!("error: the toy pipeline makes no references");
+        Ok(stage @ (StageId::References | StageId::Agreement)) => {
+            eprintln!("error: the toy pipeline has no stage `{stage}`");
             ExitCode::from(2)
         }
         Ok(StageId::Lift) => stage_main_from::<Lift>(arguments),

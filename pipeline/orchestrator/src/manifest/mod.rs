@@ -64,6 +64,9 @@ pub struct Manifest {
     /// Parameters of `conditioning`.
     #[serde(default)]
     pub conditioning: Params,
+    /// Parameters of `agreement`: whether the robot lies on the images. `agreement = false` in `[run]` leaves it out.
+    #[serde(default)]
+    pub agreement: Params,
     /// Parameters of `references`, which runs where this table is there: depth by stereo and robot tracks by kinematics, for
     /// clips that come without.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -106,6 +109,10 @@ pub struct Run {
     /// The last stages to run; default: all. Stages that these need are added.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub stages: Vec<StageId>,
+    /// Whether the run checks that the robot lies on the images, and warns where it does not (stage `agreement`). Default:
+    /// true where `stages` names none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub agreement: Option<bool>,
     /// What is reconstructed: `recorded` images, the `rollout` of `[rollouts]`, or `both`, each with scores of its own against
     /// the same recorded references. Default: both where there is `[rollouts]`.
     #[serde(default)]
@@ -336,6 +343,9 @@ pub struct Variant {
     /// Parameters of `conditioning`.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub conditioning: Params,
+    /// Parameters of `agreement`.
+    #[serde(default, skip_serializing_if = "Map::is_empty")]
+    pub agreement: Params,
     /// Parameters of `references`, which runs where this table is there or the run has it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub references: Option<Params>,
@@ -491,6 +501,7 @@ macro_rules! stage_tables {
                     StageId::Ingest => &self.ingest,
                     StageId::RobotMaps => &self.robot_maps,
                     StageId::Conditioning => &self.conditioning,
+                    StageId::Agreement => &self.agreement,
                     StageId::References => self.references.as_ref().unwrap_or(&NO_PARAMS),
                     StageId::Lift => &self.lift,
                     StageId::Refine => &self.refine,

@@ -73,6 +73,14 @@ pub(super) fn make_nodes(
 /// The stages to run, with those they need: what `[run] stages` names, and what a table asks for where a stage reads it.
 fn wanted(manifest: &Manifest) -> Vec<StageId> {
     let mut wanted = StageId::with_producers(&manifest.run.stages);
+    match manifest.run.agreement {
+        Some(false) => wanted.retain(|stage| {
+            let named = manifest.run.stages.contains(stage);
+            *stage != StageId::Agreement || named
+        }),
+        Some(true) => wanted.push(StageId::Agreement),
+        None => {}
+    }
     let asks = |stage| manifest.asks(stage) || manifest.variants.iter().any(|variant| variant.asks(stage));
     // A stage that reads it under a condition reads it where some column meets that.
     let reads = |reader: &StageId, stage| {

@@ -148,7 +148,9 @@ impl Record for Agreements {
         };
         let mut found = Vec::with_capacity(cameras);
         for (number, own) in head.cameras.into_iter().enumerate() {
-            let views = (number * frames..(number + 1) * frames).map(view).collect::<std::result::Result<_, _>>();
+            let views = (number * frames..(number + 1) * frames)
+                .map(view)
+                .collect::<std::result::Result<_, _>>();
             let of_links = number * of_links..(number + 1) * of_links;
             found.push(CameraAgreement {
                 camera: own.camera,
