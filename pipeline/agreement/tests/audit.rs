@@ -257,12 +257,16 @@ fn render_from(episode: &Episode, camera: usize, frame: usize, pose: &Pose<Base,
 }
 
 /// Plants every kind in the episodes of some seeds: clips, flagged, named right, by kind; false alarms are cameras of
-/// right clips that are not good.
+/// right clips that are not good. `ROGS_AUDIT_KINDS` takes some.
 fn sweep(seeds: std::ops::Range<u64>) -> Vec<(&'static str, [usize; 3])> {
     let machine = Machine::new();
     let mut out = Vec::new();
     let clips: Vec<_> = seeds.clone().map(|seed| Clip::of(&machine, seed)).collect();
+    let only = std::env::var("ROGS_AUDIT_KINDS").unwrap_or_default();
     for kind in KINDS {
+        if !only.is_empty() && !only.split(',').any(|own| own == kind) {
+            continue;
+        }
         let mut counts = [0; 3];
         for (seed, (clip, episode)) in seeds.clone().zip(&clips) {
             let mut planted = Clip {
@@ -311,17 +315,33 @@ fn sweep(seeds: std::ops::Range<u64>) -> Vec<(&'static str, [usize; 3])> {
     out
 }
 
+/// Episodes of each kind: `ROGS_AUDIT_EPISODES`, else 3 of a long test and 1 of a short one.
+fn episodes() -> std::ops::Range<u64> {
+    let long = std::env::var_os("ROGS_LONG_TESTS").is_some();
+    let asked = std::env::var("ROGS_AUDIT_EPISODES")
+        .ok()
+        .map(|count| count.parse().unwrap());
+    0..asked.unwrap_or(if long { 3 } else { 1 })
+}
+
 #[test]
 fn planted_mistakes_are_found_and_named() {
-    let long = std::env::var_os("ROGS_LONG_TESTS").is_some();
-    let table = sweep(if long { 0..2 } else { 0..1 });
+    let table = sweep(episodes());
+    let mut sums = [0; 3];
+    for (kind, [clips, flagged, named]) in &table {
+        println!("{kind}: {flagged} of {clips} flagged, {named} named right");
+        if *kind != "right" {
+            sums = [sums[0] + clips, sums[1] + flagged, sums[2] + named];
+        }
+    }
+    println!(
+        "all mistakes: {} of {} flagged, {} named right",
+        sums[1], sums[0], sums[2]
+    );
     for (kind, [clips, flagged, named]) in table {
         let share = |count: usize| count as f64 / clips as f64;
-        println!("{kind}: {flagged} of {clips} flagged, {named} named right");
         match kind {
             "right" => assert!(share(flagged) <= 0.02, "{flagged} false alarms"),
-            // Reported, not held: the search does not reach them yet (docs/spec/agreement.md section 7).
-            "wrong-hand-eye" | "wrist-drift" | "time-offset" => {}
             _ => assert!(
                 share(flagged) >= 0.95 && share(named) >= 0.9,
                 "{kind}: {flagged}, {named} of {clips}"

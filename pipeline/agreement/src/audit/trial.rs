@@ -5,12 +5,12 @@ use std::borrow::Cow;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use rogs_geometry::{Base, Camera, Link, Pinhole, Pose, PosedCamera, rotation_about_axis};
-use rogs_robot::RenderOptions;
 use rogs_robot::raster::Renderer;
+use rogs_robot::{MeshImage, RenderOptions};
+use rogs_schemas::Intrinsics;
 
 use super::footage::{Footage, Mount};
 use super::states::Tables;
-use crate::agreement::median;
 use crate::measure::{EdgeSample, Measurement, Settings, measure};
 use crate::shift::{ImageShift, common_shift};
 use crate::solve::solve;
@@ -47,7 +47,9 @@ pub(super) struct Supposed {
 pub(super) struct Trials<'a> {
     pub footage: &'a Footage<'a>,
     /// Link poses to draw the robot with.
-    pub tables: Tables,
+    pub tables: &'a Tables,
+    /// Whether images and lenses are of half the size.
+    pub half: bool,
 }
 
 /// A view of a trial, measured.
@@ -57,16 +59,50 @@ pub(super) struct Seen {
     pub camera: PosedCamera<Base>,
 }
 
-impl Trials<'_> {
-    /// Measures a supposed camera at a frame; `None` when the states lack this frame.
-    pub(super) fn look(
-        &self,
-        renderer: &mut Renderer<'_>,
-        camera: usize,
-        supposed: &Supposed,
-        frame: usize,
-        settings: &Settings,
-    ) -> Option<Seen> {
+impl Supposed {
+    /// The same camera with images of half the size.
+    pub(super) fn halved(&self) -> Self {
+        Self {
+            lens: halved(&self.lens),
+            ..self.clone()
+        }
+    }
+}
+
+/// The lens of images of half the size.
+pub(super) fn halved(lens: &Pinhole) -> Pinhole {
+    let Intrinsics { fx, fy, cx, cy } = lens.intrinsics;
+    Pinhole {
+        intrinsics: Intrinsics {
+            fx: 0.5 * fx,
+            fy: 0.5 * fy,
+            cx: 0.5 * cx,
+            cy: 0.5 * cy,
+        },
+        width: lens.width / 2,
+        height: lens.height / 2,
+    }
+}
+
+/// A supposed camera at a frame, and the robot in it.
+pub(super) struct Drawn<'a> {
+    pub camera: PosedCamera<Base>,
+    pub links: &'a [Pose<Base, Link>],
+    pub image: MeshImage,
+}
+
+impl<'a> Trials<'a> {
+    /// Trials of whole images.
+    pub(super) fn of(footage: &'a Footage<'a>, tables: &'a Tables) -> Self {
+        Self {
+            footage,
+            tables,
+            half: false,
+        }
+    }
+
+    /// Draws the robot for a supposed camera at a frame; `None` when the states lack this frame.
+    pub(super) fn draw(&self, renderer: &mut Renderer<'_>, supposed: &Supposed, frame: usize) -> Option<Drawn<'a>> {
         let last = self.footage.frames().saturating_sub(1);
         let state = usize::try_from(frame as i64 + supposed.delay)
             .ok()
@@ -81,12 +117,28 @@ impl Trials<'_> {
             let part = frame as f64 / last.max(1) as f64;
             base_from_camera = base_from_camera * moved(turn * part, step * part);
         }
-        let posed = PosedCamera::new(supposed.lens, base_from_camera);
         let camera_from_base = base_from_camera.inverse();
         let camera_from_link: Vec<Pose<Camera, Link>> = links.iter().map(|&link| camera_from_base * link).collect();
-        let drawn = renderer
+        let image = renderer
             .render(&supposed.lens, &camera_from_link, &RenderOptions::default(), 1)
             .ok()?;
+        Some(Drawn {
+            camera: PosedCamera::new(supposed.lens, base_from_camera),
+            links,
+            image,
+        })
+    }
+
+    /// Measures a supposed camera at a frame; `None` when the states lack this frame.
+    pub(super) fn look(
+        &self,
+        renderer: &mut Renderer<'_>,
+        camera: usize,
+        supposed: &Supposed,
+        frame: usize,
+        settings: &Settings,
+    ) -> Option<Seen> {
+        let drawn = self.draw(renderer, supposed, frame)?;
         let rgb = straight(
             self.footage.cameras[camera].images[frame],
             &supposed.lens,
@@ -94,9 +146,9 @@ impl Trials<'_> {
         );
         let view = View {
             rgb: &rgb,
-            camera: posed,
-            surface: Surface::from(&drawn),
-            base_from_link: links,
+            camera: drawn.camera,
+            surface: Surface::from(&drawn.image),
+            base_from_link: drawn.links,
             sensor_depth_m: None,
         };
         let measured = measure(&view, settings).ok()?;
@@ -104,7 +156,7 @@ impl Trials<'_> {
         Some(Seen {
             measured,
             shift,
-            camera: posed,
+            camera: drawn.camera,
         })
     }
 
@@ -114,18 +166,26 @@ impl Trials<'_> {
     }
 
     /// The same, and the mean number of contour points drawn.
-    fn overlay_and_length(
+    pub(super) fn overlay_and_length(
         &self,
         camera: usize,
         supposed: &Supposed,
         frames: &[usize],
         links: Option<&[bool]>,
     ) -> [f64; 2] {
-        let settings = Settings {
+        let mut settings = Settings {
             most_samples: 250,
             inner: links.is_some(),
             ..Settings::default()
         };
+        let mut enough = ENOUGH;
+        let half = self.half.then(|| supposed.halved());
+        let supposed = half.as_ref().unwrap_or(supposed);
+        if self.half {
+            settings.range_px *= 0.5;
+            settings.most_samples /= 2;
+            enough *= 0.5;
+        }
         let mut renderer = Renderer::new(self.footage.scene);
         let (mut overlay, mut length, mut count) = (0.0, 0.0, 0.0);
         for &frame in frames {
@@ -135,7 +195,7 @@ impl Trials<'_> {
             if let Some(links) = links {
                 seen.measured.samples.retain(|sample| links[usize::from(sample.link)]);
             }
-            let share = (seen.measured.samples.len() as f64 / ENOUGH).min(1.0);
+            let share = (seen.measured.samples.len() as f64 / enough).min(1.0);
             overlay += seen.measured.overlay(&settings).unwrap_or(0.0) * share;
             length += seen.measured.contour_points as f64;
             count += 1.0;
@@ -143,19 +203,16 @@ impl Trials<'_> {
         [overlay, length].map(|sum| sum / f64::max(count, 1.0))
     }
 
-    /// Overlays of many suppositions, in their order. Other states must draw as much of the robot as the given ones, else
-    /// the overlay counts for less: an arm that leaves the view is not one that fits.
-    pub(super) fn overlays(
-        &self,
-        suppositions: &[(usize, Supposed)],
-        given: &[Supposed],
-        frames: &[usize],
-    ) -> Vec<f64> {
-        let lengths: Vec<f64> = given
-            .par_iter()
-            .enumerate()
+    /// Mean number of contour points that the cameras draw as the files say.
+    pub(super) fn lengths(&self, given: &[Supposed], frames: &[usize]) -> Vec<f64> {
+        (given.par_iter().enumerate())
             .map(|(camera, given)| self.overlay_and_length(camera, given, frames, None)[1])
-            .collect();
+            .collect()
+    }
+
+    /// Overlays of many suppositions, in their order. Other states must draw as much of the robot as the given ones
+    /// (`lengths`, by camera), else the overlay counts for less: an arm that leaves the view is not one that fits.
+    pub(super) fn overlays(&self, suppositions: &[(usize, Supposed)], lengths: &[f64], frames: &[usize]) -> Vec<f64> {
         let rated = |(camera, supposed): &(usize, Supposed)| {
             let [overlay, length] = self.overlay_and_length(*camera, supposed, frames, None);
             let drawn = if supposed.states == 0 {
@@ -166,25 +223,6 @@ impl Trials<'_> {
             overlay * drawn
         };
         suppositions.par_iter().map(rated).collect()
-    }
-
-    /// Offsets per frame: length, standard deviation, pixels, and the length in millimetres.
-    pub(super) fn offsets(&self, camera: usize, supposed: &Supposed, frames: &[usize]) -> Vec<Option<[f64; 3]>> {
-        let settings = Settings::of_range(12.0);
-        frames
-            .par_iter()
-            .map_init(
-                || Renderer::new(self.footage.scene),
-                |renderer, &frame| {
-                    let seen = self.look(renderer, camera, supposed, frame, &settings)?;
-                    let shift = seen.shift.filter(|_| seen.measured.robot_pixels >= 120)?;
-                    let mut depths: Vec<f64> = seen.measured.samples.iter().map(|sample| sample.depth_m).collect();
-                    let px = shift.px.length();
-                    let mm = 1000.0 * px * median(&mut depths) / seen.camera.lens.intrinsics.fx;
-                    Some([px, shift.sigma_px(), mm])
-                },
-            )
-            .collect()
     }
 
     /// Moves a supposed camera in its own frame until the edges of some frames fit: from a wide search to a narrow one.
@@ -216,7 +254,7 @@ impl Trials<'_> {
 }
 
 /// A small motion of a camera in its own frame.
-fn moved(turn: DVec3, step: DVec3) -> Pose<Camera, Camera> {
+pub(super) fn moved(turn: DVec3, step: DVec3) -> Pose<Camera, Camera> {
     let angle = turn.length();
     let rotation = if angle < 1e-12 {
         DMat3::IDENTITY
@@ -228,7 +266,7 @@ fn moved(turn: DVec3, step: DVec3) -> Pose<Camera, Camera> {
 
 /// The motion of the camera in its own frame that carries the drawn contours to the edges: one robust Gauss-Newton step
 /// with a weak prior (0.15 rad, 0.1 m).
-fn twist(seen: &[Seen], range: f64) -> Option<[DVec3; 2]> {
+pub(super) fn twist(seen: &[Seen], range: f64) -> Option<[DVec3; 2]> {
     let mut matrix = [[0.0; 6]; 6];
     let mut right = [0.0; 6];
     let mut used = 0;
