@@ -70,6 +70,21 @@ const REFERENCES: Case = Case {
 const REFERENCES_PARAMS: &str =
     r#"{"depth": "always", "tracks": "always", "stereo": {"speckle_px": 8}, "robot": {"spacing_px": 2}}"#;
 
+/// The manifest of the goldens leaves this stage out, as the tests of the whole program do: its output lies beside the
+/// others.
+const AGREEMENT: Case = Case {
+    stage: "agreement",
+    output: "../asked/agreement.r4c",
+    upstream: &[("clip", "clip.r4c"), ("robot", "robot.r4c")],
+    sources: &[("robot-model", "data/robot/panda_synth.urdf")],
+    weights: None,
+    rule: Rule::GEOMETRY,
+};
+
+/// Parameters of [`AGREEMENT`]: the robot as the manifest describes it.
+const AGREEMENT_PARAMS: &str = r#"{"robot": {"tool_link": "gripper_base_link", "tool_offset_m": [0.0, 0.0, 0.15],
+    "exclude_links": [], "collision_links": []}}"#;
+
 const LIFT: Case = Case {
     stage: "lift",
     output: "field-1.r4c",
@@ -200,13 +215,15 @@ fn update() {
     });
     static ASKED: OnceLock<()> = OnceLock::new();
     ASKED.get_or_init(|| {
-        let scratch = tempfile::tempdir().unwrap();
-        let made = scratch.path().join("made.r4c");
-        REFERENCES.make(REFERENCES_PARAMS, scratch.path(), &made);
-        let golden = REFERENCES.golden();
-        if compare(&golden, &made, REFERENCES.rule, machine::made_the_goldens()).is_err() {
-            std::fs::create_dir_all(golden.parent().unwrap()).unwrap();
-            std::fs::copy(made, golden).unwrap();
+        for (case, params) in [(REFERENCES, REFERENCES_PARAMS), (AGREEMENT, AGREEMENT_PARAMS)] {
+            let scratch = tempfile::tempdir().unwrap();
+            let made = scratch.path().join("made.r4c");
+            case.make(params, scratch.path(), &made);
+            let golden = case.golden();
+            if compare(&golden, &made, case.rule, machine::made_the_goldens()).is_err() {
+                std::fs::create_dir_all(golden.parent().unwrap()).unwrap();
+                std::fs::copy(made, golden).unwrap();
+            }
         }
     });
 }
@@ -229,6 +246,11 @@ fn conditioning() {
 #[test]
 fn references() {
     REFERENCES.check();
+}
+
+#[test]
+fn agreement() {
+    AGREEMENT.check();
 }
 
 #[test]

@@ -14,6 +14,7 @@
 //! The page needs no network and no script: pictures are inlined, and a content security policy forbids everything else.
 //! Text is escaped by type, see `maud`.
 
+mod audit;
 mod contract;
 mod costs;
 mod forms;
@@ -23,6 +24,7 @@ mod plots;
 mod results;
 mod write;
 
+pub use audit::{Audit, AuditedClip};
 pub use forms::Form;
 pub use results::RunResults;
 pub use write::write_report;

@@ -46,6 +46,8 @@ pub(crate) struct ClipResults {
     pub(crate) rollout: Option<PathBuf>,
     /// Robot maps.
     pub(crate) robot: Option<PathBuf>,
+    /// Whether the robot lies on the images: of the recorded clip, and of the rollout.
+    pub(crate) agreements: Vec<PathBuf>,
     /// Scores by method, in the order of the plan; by node where the file cannot be read.
     pub(crate) scores: Vec<(String, PathBuf)>,
     /// What went wrong.
@@ -111,6 +113,7 @@ impl RunResults {
                 StageId::Ingest if is_rollout(&node.params) => clip.rollout = clip.rollout.take().or(Some(path)),
                 StageId::Ingest => clip.clip = clip.clip.take().or(Some(path)),
                 StageId::RobotMaps if !node.by_key => clip.robot = Some(path),
+                StageId::Agreement => clip.agreements.push(path),
                 StageId::Score => match read_record::<Scores>(&path) {
                     // An outside method without a prediction for the clip: it does not count there.
                     Ok((scores, _)) if is_empty(&scores.summary) => {}

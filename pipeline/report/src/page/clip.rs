@@ -6,6 +6,7 @@ use maud::{Markup, html};
 use rogs_r4c::{Record, read_record};
 use rogs_schemas::ledger::{Attempt, Failure};
 use rogs_schemas::protocol::FailureCode;
+use rogs_schemas::records::agreement::Agreements;
 use rogs_schemas::records::clip::{CameraMount, Clip, ClipCamera, Rollout};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
@@ -15,6 +16,7 @@ use rogs_score::summary::ImageMetric::{AbsRel, Delta1, Lpips, Psnr, Rmse, Ssim};
 use rogs_score::summary::{ImageMetric, Metric, clip_value};
 use rogs_score::tables::heading;
 
+use super::agreement;
 use super::failure::failure;
 use crate::pictures::{self, Comparison, Figure};
 use crate::results::ClipResults;
@@ -49,6 +51,9 @@ fn contents(clip: &ClipResults) -> Markup {
         let record = read::<Scores>(Some(path), "score", &mut unreadable);
         scores.extend(record.map(|record| (method.clone(), record)));
     }
+    let agreements: Vec<Agreements> = (clip.agreements.iter())
+        .filter_map(|path| read(Some(path), "agreement", &mut unreadable))
+        .collect();
     let records = [&clip.clip, &clip.rollout];
     let records = records.map(|path| read::<Clip>(path.as_deref(), "ingest", &mut unreadable));
     let both = records.iter().all(Option::is_some);
@@ -56,19 +61,28 @@ fn contents(clip: &ClipResults) -> Markup {
         @for (stage, why) in &unreadable { (failure(stage, why)) }
         @for clip in records.iter().flatten() {
             @if both { h3 { (heading(clip.setting())) } }
-            (of_setting(clip, robot.as_ref(), &scores))
+            (of_setting(clip, robot.as_ref(), &agreements, &scores))
         }
     }
 }
 
 /// A clip as it was recorded or with generated observations, and what was made of it.
-fn of_setting(clip: &Clip, robot: Option<&RobotMaps>, scores: &[(String, Scores)]) -> Markup {
+fn of_setting(
+    clip: &Clip,
+    robot: Option<&RobotMaps>,
+    agreements: &[Agreements],
+    scores: &[(String, Scores)],
+) -> Markup {
     let own = scores
         .iter()
         .filter(|(_, scores)| scores.summary.setting == clip.setting());
     let own: Vec<&(String, Scores)> = own.collect();
+    let agreements = agreements
+        .iter()
+        .find(|agreements| agreements.setting == clip.setting());
     html! {
         (facts(clip))
+        @if let Some(agreements) = agreements { (agreement::table(agreements)) }
         (figures("Inputs with the outline of the robot mesh", &pictures::inputs(clip, robot)))
         @if let Some(robot) = robot.filter(|_| clip.rollout.is_none()) {
             (figures("Mesh depth (camera z) and link ids at the source times", &pictures::robot(clip, robot)))

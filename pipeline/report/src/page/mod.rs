@@ -1,5 +1,6 @@
 //! The page of a run: facts, tables, plots, failures, then a section a clip. No scripts.
 
+pub(crate) mod agreement;
 mod clip;
 mod failure;
 
@@ -12,7 +13,7 @@ use crate::forms::to_html;
 use crate::plots::{bars, plots};
 use crate::results::{ClipResults, RunResults};
 
-const STYLE: &str = include_str!("style.css");
+pub(crate) const STYLE: &str = include_str!("style.css");
 
 /// The page with these tables; the first `picture_clips` clips have pictures, the others are listed.
 pub(crate) fn page(results: &RunResults, tables: &[Table], picture_clips: usize) -> Markup {

@@ -9,4 +9,4 @@ mod sheets;
 
 pub(crate) use comparison::{Comparison, comparison, rollout};
 pub(crate) use picture::Figure;
-pub(crate) use sheets::{inputs, renders, robot};
+pub(crate) use sheets::{inputs, overlay, renders, robot};

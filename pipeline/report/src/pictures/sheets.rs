@@ -1,9 +1,9 @@
 //! Sheets of pictures of a clip, one a camera: inputs, robot maps, renders.
 
-use rogs_schemas::CameraIndex;
 use rogs_schemas::records::clip::{Clip, ClipCamera};
 use rogs_schemas::records::robot::{RobotMap, RobotMaps};
 use rogs_schemas::records::scores::{RenderedView, Scores};
+use rogs_schemas::{CameraIndex, FrameIndex};
 
 use super::colours::{depth_picture, depth_range, error_picture, link_picture};
 use super::frames::{join, map_at, observation, spread, target};
@@ -24,6 +24,25 @@ pub(crate) fn inputs(clip: &Clip, robot: Option<&RobotMaps>) -> Vec<Figure> {
         grid(&[cells.collect()])?.jpeg(format!("{}, frames {}", source.id, join(&clip.source_frames)))
     };
     clip.source_cameras().into_iter().filter_map(strip).collect()
+}
+
+/// Images of one source camera (by its name) with the mesh outline, at three frames from the first to the last.
+pub(crate) fn overlay(clip: &Clip, robot: &RobotMaps, name: &str) -> Option<Figure> {
+    let camera = clip.source_cameras().into_iter().find(|camera| {
+        let own = clip.cameras.get(camera.at());
+        own.is_some_and(|own| own.id == name)
+    })?;
+    let last = clip.frame_count().checked_sub(1)? as u32;
+    let mut frames = [0, last / 2, last].map(FrameIndex).to_vec();
+    frames.dedup();
+    let cells = frames.iter().map(|&frame| {
+        let mut picture = observation(clip, camera, frame)?;
+        if let Some(map) = map_at(robot, camera, frame) {
+            draw_outline(&mut picture, map);
+        }
+        Some(picture)
+    });
+    grid(&[cells.collect()])?.jpeg(format!("{name}, frames {}", join(&frames)))
 }
 
 /// One sheet per source camera: mesh depth above, link ids below.

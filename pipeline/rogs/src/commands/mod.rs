@@ -1,6 +1,7 @@
 //! The commands, one module each.
 
 mod calibrate;
+mod audit;
 mod cohort;
 mod completions;
 mod config;
@@ -85,6 +86,7 @@ enum Command {
     /// Shows what is done in a run folder, what failed and why, and what is left.
     Status(status::Args),
     Verify(verify::Args),
+    Audit(audit::Args),
     Report(table::ReportArgs),
     Logs(logs::Args),
     Diff(diff::Args),
@@ -135,6 +137,7 @@ pub(crate) fn run(command_line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Gc(args) => gc::run(&args),
         Command::Status(args) => status::run(&args),
         Command::Verify(args) => verify::run(&args),
+        Command::Audit(args) => audit::run(&args),
         Command::Report(args) => table::run_report(&args),
         Command::Table(args) => table::run(&args),
         Command::Query(args) => query::run(&args),

@@ -86,41 +86,23 @@ const MOST_OUTLINES: usize = 64;
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let folder = std::path::absolute(&args.folder)?;
-    let mut episodes = match list_episodes(&folder) {
-        Ok(episodes) => episodes,
-        Err(error) => return Err(only_references(&folder).unwrap_or_else(|| stage_error(error))),
-    };
-    count_frames(&folder, &mut episodes);
-    let name = run_name(&folder);
-    let manifest = args
-        .out
-        .clone()
-        .unwrap_or_else(|| PathBuf::from(format!("{name}.toml")));
-    if manifest.exists() {
-        let error = Error::usage(format!("`{}` is there already", manifest.display()));
-        return Err(error.with_hint("name another file with --out, or remove it").into());
-    }
+    let manifest = (args.out.clone()).unwrap_or_else(|| PathBuf::from(format!("{}.toml", run_name(&folder))));
     let place = std::path::absolute(&manifest)?;
     let Some(place) = place.parent() else {
         bail!("invalid manifest `{}`: expected a file", manifest.display());
     };
-    let first = episodes.first().context("there is no episode")?;
-    let mut outline = outline(&folder, first).map_err(stage_error)?;
-    outline.calibrated = episodes
-        .iter()
-        .take(MOST_OUTLINES)
-        .all(|episode| is_calibrated(&folder, episode));
-    let written = |path: &Path| as_written(path, place);
-    let robot = robot::find(args.robot.as_deref(), &folder, &outline, &written)?;
-    let found = Found {
-        root: written(&folder),
-        calibration: calibration(args, &folder, &episodes, &outline).map(|path| written(&path)),
-        pointworld: pointworld(&folder).map(|path| written(&path)),
-        name,
+    let episodes = listed(&folder)?;
+    if manifest.exists() {
+        let error = Error::usage(format!("`{}` is there already", manifest.display()));
+        return Err(error.with_hint("name another file with --out, or remove it").into());
+    }
+    let found = find(
+        &folder,
         episodes,
-        outline,
-        robot,
-    };
+        args.robot.as_deref(),
+        args.calibration.as_deref(),
+        place,
+    )?;
     rogs_files::write_bytes(&manifest, text::manifest(&found, &manifest).as_bytes())?;
     let told = Written {
         layouts: found.layouts(),
@@ -137,6 +119,65 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         output::text(&told.text())?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// The episodes of a folder, with their frames.
+fn listed(folder: &Path) -> anyhow::Result<Vec<EpisodeListing>> {
+    let mut episodes = match list_episodes(folder) {
+        Ok(episodes) => episodes,
+        Err(error) => return Err(only_references(folder).unwrap_or_else(|| stage_error(error))),
+    };
+    count_frames(folder, &mut episodes);
+    Ok(episodes)
+}
+
+/// What a manifest in `place` is written from.
+fn find(
+    folder: &Path,
+    episodes: Vec<EpisodeListing>,
+    robot: Option<&Path>,
+    calibration: Option<&Path>,
+    place: &Path,
+) -> anyhow::Result<Found> {
+    let first = episodes.first().context("there is no episode")?;
+    let mut outline = outline(folder, first).map_err(stage_error)?;
+    outline.calibrated = episodes
+        .iter()
+        .take(MOST_OUTLINES)
+        .all(|episode| is_calibrated(folder, episode));
+    let written = |path: &Path| as_written(path, place);
+    let robot = robot::find(robot, folder, &outline, &written)?;
+    Ok(Found {
+        root: written(folder),
+        calibration: calibration_file(calibration, folder, &episodes, &outline).map(|path| written(&path)),
+        pointworld: pointworld(folder).map(|path| written(&path)),
+        name: run_name(folder),
+        episodes,
+        outline,
+        robot,
+    })
+}
+
+/// The manifest for the episodes of a folder, as `rogs init` would write it into `place`.
+///
+/// # Errors
+/// When there are no episodes, or something is missing that has to be named: a robot, a calibration.
+pub(crate) fn manifest_for(
+    folder: &Path,
+    robot: Option<&Path>,
+    calibration: Option<&Path>,
+    place: &Path,
+) -> anyhow::Result<String> {
+    let folder = std::path::absolute(folder)?;
+    let found = find(&folder, listed(&folder)?, robot, calibration, place)?;
+    let missing = found.missing();
+    if !missing.is_empty() {
+        let error = Error::usage(format!("`{}`: {}", folder.display(), missing.join("; ")));
+        return Err(error
+            .with_hint("`rogs init` writes a manifest to complete; then give that manifest")
+            .into());
+    }
+    Ok(text::manifest(&found, Path::new("audit.toml")))
 }
 
 impl Found {
@@ -236,9 +277,14 @@ fn is_calibrated(folder: &Path, episode: &EpisodeListing) -> bool {
 }
 
 /// The calibration file that is named, or else the only one that lies in the folder or beside it.
-fn calibration(args: &Args, folder: &Path, episodes: &[EpisodeListing], outline: &EpisodeOutline) -> Option<PathBuf> {
-    if args.calibration.is_some() || outline.calibrated {
-        return args.calibration.clone();
+fn calibration_file(
+    named: Option<&Path>,
+    folder: &Path,
+    episodes: &[EpisodeListing],
+    outline: &EpisodeOutline,
+) -> Option<PathBuf> {
+    if named.is_some() || outline.calibrated {
+        return named.map(Path::to_owned);
     }
     // `calibration_0007.json` lies beside the episode `0007` and is found without being named.
     let of_episode = |name: &str| {

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use rogs_r4c::{Record as _, Result, read_record};
+use rogs_schemas::records::agreement::Agreements;
 use rogs_schemas::records::clip::{Clip, ClipCamera, SourceView};
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::field::{Field, WeightsInfo};
@@ -30,6 +31,8 @@ pub(super) fn header(path: &Path, schema: &str) -> Result<Option<Header>> {
         of_conditioning(&read_record::<Conditioning>(path)?.0)
     } else if schema == References::SCHEMA.name {
         of_references(&read_record::<References>(path)?.0)
+    } else if schema == Agreements::SCHEMA.name {
+        of_agreements(&read_record::<Agreements>(path)?.0)
     } else if schema == Field::SCHEMA.name {
         of_field(&read_record::<Field>(path)?.0)
     } else if schema == Refinement::SCHEMA.name {
@@ -241,6 +244,39 @@ fn of_references(references: &References) -> Header {
     let value = json!({
         "clip_id": references.clip_id, "frames": references.frames, "depth_cameras": cameras, "tracks": tracks,
         "notes": references.notes,
+    });
+    Header { value, lines }
+}
+
+fn of_agreements(agreements: &Agreements) -> Header {
+    let mut lines = vec![
+        (
+            "clip",
+            format!("{}, {} frames", agreements.clip_id, agreements.frame_count),
+        ),
+        ("images", agreements.setting.clone()),
+    ];
+    for camera in &agreements.cameras {
+        let off = camera.offset.map_or_else(String::new, |offset| {
+            format!(", {:.1} px ({:.0} mm) off", offset.px, 1000.0 * offset.m)
+        });
+        let cause = camera.mistake.as_ref().map_or(&camera.why, |mistake| &mistake.words);
+        let cause = if cause.is_empty() {
+            String::new()
+        } else {
+            format!("; {cause}")
+        };
+        lines.push(("camera", format!("{}: {}{off}{cause}", camera.name, camera.verdict)));
+    }
+    let cameras = agreements.cameras.iter().map(|camera| {
+        json!({
+            "camera": camera.name, "verdict": camera.verdict.name(), "mistake": camera.mistake, "why": camera.why,
+            "overlay": camera.overlay, "offset": camera.offset, "lag_frames": camera.lag_frames, "drift_m": camera.drift_m,
+        })
+    });
+    let value = json!({
+        "clip_id": agreements.clip_id, "setting": agreements.setting, "frame_count": agreements.frame_count,
+        "cameras": cameras.collect::<Vec<_>>(),
     });
     Header { value, lines }
 }
