@@ -12,6 +12,7 @@ use rogs_orchestrator::{Error, Result};
 use rogs_r4c::read_record;
 use rogs_schemas::CacheKey;
 use rogs_schemas::ledger::Attempt;
+use rogs_schemas::records::agreement::Agreements;
 use rogs_schemas::records::clip::{Clip, ROLLOUT};
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
 use rogs_score::cohort::CohortCounts;
@@ -31,6 +32,8 @@ pub struct RunResults {
     pub(crate) sheets: Vec<ScoreSheet>,
     /// What the units cost, for the `timing` and `main` tables.
     timings: Vec<ClipTiming>,
+    /// Whether the robot lies on the observations of every clip.
+    agreements: Vec<Agreements>,
     /// What every method was given, by the first clip that has scores of it.
     signals: BTreeMap<(String, String), MethodSignals>,
 }
@@ -69,6 +72,7 @@ impl RunResults {
             clips: Vec::new(),
             sheets: Vec::new(),
             timings: Vec::new(),
+            agreements: Vec::new(),
             signals: BTreeMap::new(),
             plan,
         };
@@ -113,7 +117,12 @@ impl RunResults {
                 StageId::Ingest if is_rollout(&node.params) => clip.rollout = clip.rollout.take().or(Some(path)),
                 StageId::Ingest => clip.clip = clip.clip.take().or(Some(path)),
                 StageId::RobotMaps if !node.by_key => clip.robot = Some(path),
-                StageId::Agreement => clip.agreements.push(path),
+                StageId::Agreement => {
+                    // The page names a file that cannot be read.
+                    self.agreements
+                        .extend(read_record::<Agreements>(&path).map(|(own, _)| own));
+                    clip.agreements.push(path);
+                }
                 StageId::Score => match read_record::<Scores>(&path) {
                     // An outside method without a prediction for the clip: it does not count there.
                     Ok((scores, _)) if is_empty(&scores.summary) => {}
@@ -147,6 +156,7 @@ impl RunResults {
     pub fn add(&mut self, other: Self) {
         self.sheets.extend(other.sheets);
         self.timings.extend(other.timings);
+        self.agreements.extend(other.agreements);
         for (name, signals) in other.signals {
             self.signals.entry(name).or_insert(signals);
         }
@@ -165,6 +175,7 @@ impl RunResults {
             // The selection that the run was planned with, unless another is given.
             cohort: cohort.or(self.plan.selection.as_ref().map(|own| &own.counts)),
             signals: &signals,
+            agreements: &self.agreements,
         };
         table(id, &input, options).map_err(|error| Error::usage(error.to_string()))
     }

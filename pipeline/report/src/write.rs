@@ -54,7 +54,7 @@ fn has_content(table: &Table) -> bool {
     }
     let of_variants = !matches!(
         table.id,
-        TableId::Main | TableId::Additional | TableId::Ci | TableId::Scale | TableId::Timing
+        TableId::Main | TableId::Additional | TableId::Ci | TableId::Scale | TableId::Timing | TableId::Following
     );
     let measured = table
         .rows

@@ -18,6 +18,7 @@ fn tables(options: TableOptions) -> Vec<Table> {
         timings: &timings,
         cohort: Some(&COHORT),
         signals: &[],
+        agreements: &[],
     };
     let make = |id| table(id, &input, options).unwrap();
     TableId::ALL.map(make).to_vec()

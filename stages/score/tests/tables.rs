@@ -78,6 +78,7 @@ fn make(id: TableId, sheets: &[ScoreSheet], timings: &[ClipTiming], options: Tab
             timings,
             cohort: Some(&COHORT),
             signals: &[],
+            agreements: &[],
         },
         options,
     )
@@ -267,6 +268,7 @@ fn tables_name_the_origin_of_every_reference() {
             timings: &[],
             cohort: None,
             signals: &[],
+            agreements: &[],
         };
         table(id, &input, TableOptions::default()).unwrap()
     };

@@ -5,7 +5,7 @@ use crate::tables::id::{TableError, TableId};
 use crate::tables::input::{TableInput, TableOptions};
 use crate::tables::layout::layout;
 use crate::tables::table::Table;
-use crate::tables::{measured, timing, words};
+use crate::tables::{following, measured, timing, words};
 
 /// Makes a table. Methods without scores have dashes.
 ///
@@ -16,6 +16,7 @@ pub fn table(id: TableId, input: &TableInput<'_>, options: TableOptions) -> Resu
     Ok(match (id, layout(id)) {
         (_, Some(layout)) => measured::table(id, layout, &set, input, options),
         (TableId::Cohort, _) => words::cohort(input.cohort, options),
+        (TableId::Following, _) => following::table(input.agreements, options),
         (TableId::Timing, _) => timing::table(&set, input, options),
         _ => words::inputs(input.signals, options),
     })

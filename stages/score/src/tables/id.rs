@@ -40,11 +40,13 @@ pub enum TableId {
     Inputs,
     /// Times and memory.
     Timing,
+    /// How the robot of the images follows the states.
+    Following,
 }
 
 impl TableId {
-    /// Every table, in the order of the paper.
-    pub const ALL: [Self; 15] = [
+    /// Every table, in the order of the paper; one of our own follows.
+    pub const ALL: [Self; 16] = [
         Self::Main,
         Self::Joint,
         Self::Robot,
@@ -60,6 +62,7 @@ impl TableId {
         Self::Cohort,
         Self::Inputs,
         Self::Timing,
+        Self::Following,
     ];
 
     /// The id as people and files write it.
@@ -81,6 +84,7 @@ impl TableId {
             Self::Cohort => "cohort",
             Self::Inputs => "inputs",
             Self::Timing => "timing",
+            Self::Following => "following",
         }
     }
 }

@@ -1,5 +1,6 @@
 //! What tables are made of, and how.
 
+use rogs_schemas::records::agreement::Agreements;
 pub(crate) use rogs_schemas::records::clip::{RECORDED, ROLLOUT};
 use rogs_schemas::records::scores::ScoreSheet;
 
@@ -17,6 +18,8 @@ pub struct TableInput<'a> {
     pub cohort: Option<&'a CohortCounts>,
     /// What every method was given, where it is known.
     pub signals: &'a [MethodSignals],
+    /// Whether the robot lies on the observations, where it was measured.
+    pub agreements: &'a [Agreements],
 }
 
 /// What a method was given in a setting, in words: one row of the table of inputs.

@@ -68,7 +68,7 @@ pub(crate) fn layout(id: TableId) -> Option<&'static Layout> {
         TableId::Recurrence => Some(&RECURRENCE),
         TableId::Latent => Some(&LATENT),
         TableId::LatentResolution => Some(&LATENT_RESOLUTION),
-        TableId::Cohort | TableId::Inputs | TableId::Timing => None,
+        TableId::Cohort | TableId::Inputs | TableId::Timing | TableId::Following => None,
     }
 }
 

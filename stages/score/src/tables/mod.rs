@@ -16,6 +16,7 @@
 //! Methods with labels that no table of the paper has appear below the paper's rows in `main`, `additional`, `ci` and `timing`.
 
 mod build;
+mod following;
 mod footnotes;
 mod id;
 mod input;
