@@ -54,7 +54,7 @@ struct Row {
 struct Fit {
     values: [f64; 5],
     covariance: [[f64; 5]; 5],
-    /// Weighted edges that lie within 1.5 px of where the fit has them, per frame.
+    /// Share of the weighted edges that lie within 1.5 px of where the fit has them.
     agreeing: f64,
 }
 
@@ -70,12 +70,12 @@ pub fn follow(views: &[Option<MovedView<'_>>]) -> Result<Following> {
     let own: Vec<Row> = (0..views.len())
         .flat_map(|frame| views[frame].map_or_else(Vec::new, |moved| rows(views, frame, 0, moved.samples)))
         .collect();
-    let Some(plain) = fit(&own, told) else {
+    let Some(plain) = fit(&own) else {
         return Ok(Following::default());
     };
     let (mut best, mut shown) = (plain, 0);
     // A lag of a frame or more, or one that hides under the search: the robot is drawn as it was earlier and later.
-    if plain.values[0].abs() > 0.6 || plain.agreeing < 0.5 * mean_weight(views, told) {
+    if plain.values[0].abs() > 0.6 || plain.agreeing < 0.5 {
         let others: Vec<Option<(i64, Fit)>> = (-LONGEST..=LONGEST)
             .into_par_iter()
             .filter(|delay| *delay != 0)
@@ -108,12 +108,6 @@ pub fn follow(views: &[Option<MovedView<'_>>]) -> Result<Following> {
     })
 }
 
-/// Mean over frames of the weights of their edges.
-fn mean_weight(views: &[Option<MovedView<'_>>], told: usize) -> f64 {
-    let weights = views.iter().flatten().flat_map(|moved| moved.samples);
-    weights.map(|sample| sample.weight).sum::<f64>() / told as f64
-}
-
 /// The fit to images compared with the robot as it was drawn `delay` frames later.
 fn delayed(views: &[Option<MovedView<'_>>], delay: i64) -> Result<Option<Fit>> {
     let settings = Settings {
@@ -129,6 +123,7 @@ fn delayed(views: &[Option<MovedView<'_>>], delay: i64) -> Result<Option<Fit>> {
             continue;
         };
         let view = View {
+            camera: other.view.camera,
             surface: other.view.surface,
             base_from_link: other.view.base_from_link,
             sensor_depth_m: None,
@@ -138,7 +133,7 @@ fn delayed(views: &[Option<MovedView<'_>>], delay: i64) -> Result<Option<Fit>> {
         all.extend(rows(views, frame, delay, &measured.samples));
         told += 1;
     }
-    Ok(if told < FEWEST_FRAMES { None } else { fit(&all, told) })
+    Ok(if told < FEWEST_FRAMES { None } else { fit(&all) })
 }
 
 /// The equations of the edges of image `frame`, found near contours drawn `delay` frames later.
@@ -195,7 +190,7 @@ fn rows(views: &[Option<MovedView<'_>>], frame: usize, delay: i64, samples: &[Ed
 }
 
 /// Iteratively reweighted least squares with Tukey's weights, from wide to narrow.
-fn fit(rows: &[Row], frames: usize) -> Option<Fit> {
+fn fit(rows: &[Row]) -> Option<Fit> {
     if rows.len() < FEWEST_EDGES {
         return None;
     }
@@ -235,11 +230,12 @@ fn fit(rows: &[Row], frames: usize) -> Option<Fit> {
         scale = (1.4826 * median(&mut residuals)).clamp(narrowest, 3.0);
         covariance = inverse(&matrix);
     }
+    let all: f64 = rows.iter().map(|row| row.weight).sum();
     let within = rows.iter().filter(|row| residual(row, &values).abs() < 1.5);
     Some(Fit {
         values,
         covariance: covariance?.map(|row| row.map(|value| value * TOGETHER)),
-        agreeing: within.map(|row| row.weight).sum::<f64>() / frames.max(1) as f64,
+        agreeing: within.map(|row| row.weight).sum::<f64>() / all,
     })
 }
 

@@ -95,7 +95,8 @@ impl Found {
     /// Whether the robot lies on the images so well that nothing need be tried.
     pub(super) fn is_good(&self) -> bool {
         let near = self.offset.is_some_and(|offset| offset[0] < 0.8);
-        self.why.is_none() && near && self.worst_px < 1.6 && self.edges_px < 0.8 && self.overlay > 0.3
+        let in_time = self.lag.is_none_or(|[lag, sigma]| lag.abs() < LAGS.max(4.0 * sigma));
+        self.why.is_none() && in_time && near && self.worst_px < 1.6 && self.edges_px < 0.8 && self.overlay > 0.3
     }
 
     pub(super) fn best(&self) -> Option<&Tried> {

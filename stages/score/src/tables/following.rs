@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use rogs_schemas::records::agreement::{Agreements, CameraAgreement, ViewState};
 
-use crate::metrics::bootstrap::bootstrap_interval;
+use crate::metrics::bootstrap_interval;
 use crate::tables::id::TableId;
 use crate::tables::input::{RECORDED, ROLLOUT, TableOptions, heading};
 use crate::tables::table::{Better, Cell, Column, Row, Table};
