@@ -46,7 +46,7 @@ fn rogs_audit_names_a_planted_mistake_and_resumes() {
     let (code, right) = workspace.rogs_json(&["audit", "manifest.toml", "--out", "right", "--json"]);
     assert_eq!(
         (code, right["format"].as_str()),
-        (Some(0), Some("rogs-audit 1")),
+        (Some(0), Some("rogs.audit/1")),
         "{right:#}"
     );
     for camera in ["ext1", "ext2"] {
@@ -98,4 +98,35 @@ fn rogs_audit_names_a_planted_mistake_and_resumes() {
         !missing.status.success() && said.contains("did you mean `manifest.toml`?"),
         "{said}"
     );
+}
+
+/// The cell of a column in the row of all cameras of a group.
+fn following(table: &Value, group: &str, column: &str) -> Option<f64> {
+    let columns = table["columns"].as_array().unwrap();
+    let place = columns.iter().position(|own| own["name"] == column).unwrap();
+    let rows = table["rows"].as_array().unwrap();
+    let row = rows.iter().find(|row| row["group"] == group && row["label"] == "all cameras");
+    row.unwrap_or_else(|| panic!("no `{group}`: {table:#}"))["cells"][place]["mean"]["value"].as_f64()
+}
+
+#[test]
+fn a_rollout_whose_robot_lags_is_told_beside_the_recorded_floor() {
+    let workspace = Workspace::empty();
+    let mut arguments = vec!["synth", "--episodes", "1", "--seed", "3", "--size", "280x154", "--frames", "24"];
+    arguments.extend(["--out", "data", "--rollouts", "--lag", "2"]);
+    let made = workspace.rogs(&arguments);
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    let manifest = "data/manifest.toml";
+    let text = std::fs::read_to_string(workspace.path(manifest)).unwrap();
+    let text = text.replacen("[run]\n", "[run]\nstages = [\"agreement\"]\n", 1);
+    workspace.write(manifest, &text);
+    let (code, summary) = workspace.rogs_json(&["run", manifest, "--no-report", "--json"]);
+    assert_eq!(code, Some(0), "{summary:#}");
+    let (_, table) = workspace.rogs_json(&["table", "data/run", "--table", "following", "--json"]);
+    let [recorded, rollout] = ["Recorded observations", "World-model rollouts"];
+    let lag = |group| following(&table, group, "lag (frames)").unwrap_or_else(|| panic!("no lag: {table:#}"));
+    assert!(lag(recorded).abs() < 0.5, "{table:#}");
+    assert!((lag(rollout) - 2.0).abs() < 0.5, "{table:#}");
+    let error = |group| following(&table, group, "error (px)").unwrap();
+    assert!(error(recorded) < error(rollout), "{table:#}");
 }

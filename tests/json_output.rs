@@ -15,7 +15,8 @@ use serde_json::{Value, json};
 use support::{ROGS, Workspace};
 
 /// The commands of each test here, as manual pages name them; together they are all.
-const RUNS: [&str; 12] = [
+const RUNS: [&str; 13] = [
+    "rogs-audit",
     "rogs-plan",
     "rogs-config-show",
     "rogs-submit",
@@ -65,6 +66,7 @@ const FORMATS: [(&[&str], &[&str]); 7] = [
         &RUNS,
         &[
             "config",
+            "audit",
             "diff",
             "gc",
             "inspect",
@@ -247,6 +249,8 @@ fn commands_about_runs() {
     assert!(!workspace.path("run").exists(), "a dry run writes nothing");
     assert_eq!(length(&ask(0, &["plan", "manifest.toml", "--explain"])["items"]), 7);
     assert_eq!(ask(0, &["run", "manifest.toml"])["units"]["made"], 7);
+    let audited = ask(0, &["audit", "manifest.toml", "--out", "audited"]);
+    assert_eq!(length(&audited["clips"][0]["cameras"]), 3, "{audited:#}");
     assert_eq!(ask(0, &["plan", "manifest.toml", "--explain"])["items"], json!([]));
     let exported = ask(0, &["plan", "other.toml", "--emit", "jsonl"]);
     assert_eq!((&exported["units"], length(&exported["commands"])), (&json!(7), 6));

@@ -69,6 +69,7 @@ fn help_of_every_command() {
         "ingest",
         "robot-maps",
         "conditioning",
+        "agreement",
         "references",
         "lift",
         "refine",

@@ -5,11 +5,14 @@ use std::path::{Path, PathBuf};
 use maud::{Markup, html};
 use rogs_orchestrator::{Result, columns};
 use rogs_r4c::read_record;
-use rogs_schemas::records::agreement::{Agreements, CameraAgreement, Verdict, ViewAgreement};
+use rogs_schemas::records::agreement::{
+    Agreements, CameraAgreement, Estimate, Offset, TriedMistake, Verdict, ViewAgreement,
+};
 use rogs_schemas::records::clip::{Clip, ROLLOUT};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::shown;
-use serde_json::{Value, json};
+use schemars::JsonSchema;
+use serde::Serialize;
 
 use crate::page::{STYLE, agreement};
 use crate::pictures;
@@ -122,27 +125,17 @@ impl Audit {
         out.join("\n")
     }
 
-    /// The same for scripts; `rogs-audit 1`.
+    /// The same for scripts.
     #[must_use]
-    pub fn json(&self) -> Value {
-        let camera = |own: &CameraAgreement| {
-            let views: Vec<Value> = own.views.iter().map(view).collect();
-            json!({
-                "camera": own.name, "verdict": own.verdict.name(), "mistake": own.mistake, "why": own.why,
-                "overlay": own.overlay, "offset": own.offset, "tried": own.tried, "lag_frames": own.lag_frames,
-                "drift_m": own.drift_m, "frames": views,
-            })
+    pub fn told(&self) -> ToldAudit {
+        let failure = |(clip, why): &(String, String)| ToldFailure {
+            clip: clip.clone(),
+            message: why.clone(),
         };
-        let clip = |own: &AuditedClip| {
-            let cameras: Vec<Value> = own.agreements.cameras.iter().map(camera).collect();
-            json!({"clip": own.id, "setting": own.agreements.setting, "cameras": cameras})
-        };
-        let failure = |(clip, why): &(String, String)| json!({"clip": clip, "message": why});
-        json!({
-            "format": "rogs-audit 1",
-            "clips": self.clips.iter().map(clip).collect::<Vec<_>>(),
-            "failures": self.failures.iter().map(failure).collect::<Vec<_>>(),
-        })
+        ToldAudit {
+            clips: self.clips.iter().map(ToldClip::of).collect(),
+            failures: self.failures.iter().map(failure).collect(),
+        }
     }
 
     /// The same as one page without scripts, with the drawn outlines on the images of the worst clips.
@@ -182,15 +175,113 @@ impl AuditedClip {
     }
 }
 
-/// One frame of a camera for scripts; null where it cannot be told.
-fn view(own: &ViewAgreement) -> Value {
-    let number = |value: f32| {
-        if value.is_finite() { json!(value) } else { Value::Null }
-    };
-    json!({
-        "why": own.state.words(), "shift_px": own.shift_px.map(number), "sigma_px": number(own.sigma_px),
-        "offset_m": number(own.offset_m), "sigma_m": number(own.sigma_m), "overlay": number(own.overlay),
-    })
+/// An audit for scripts.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct ToldAudit {
+    /// The clips that were audited.
+    clips: Vec<ToldClip>,
+    /// Those that could not be.
+    failures: Vec<ToldFailure>,
+}
+
+/// A clip that could not be audited.
+#[derive(Debug, Serialize, JsonSchema)]
+struct ToldFailure {
+    /// Id of the clip.
+    clip: String,
+    /// What went wrong.
+    message: String,
+}
+
+/// A clip that was audited.
+#[derive(Debug, Serialize, JsonSchema)]
+struct ToldClip {
+    /// Id of the clip.
+    clip: String,
+    /// What its images are: `recorded` or `rollout`.
+    setting: String,
+    /// Its source cameras.
+    cameras: Vec<ToldCamera>,
+}
+
+/// What was found out about a camera.
+#[derive(Debug, Serialize, JsonSchema)]
+struct ToldCamera {
+    /// Its name.
+    camera: String,
+    /// In short.
+    verdict: Verdict,
+    /// The likely mistake; null where there is none, or none is known.
+    mistake: Option<TriedMistake>,
+    /// Why it cannot be told; empty where it can.
+    why: String,
+    /// Share of the silhouette that has its edge at the predicted place: about 0 by chance, 1 for a perfect overlay.
+    overlay: f64,
+    /// Median offset over frames.
+    offset: Option<Offset>,
+    /// The suppositions that fit best, best first.
+    tried: Vec<TriedMistake>,
+    /// Frames by which the robot of the images lags behind the states.
+    lag_frames: Option<Estimate>,
+    /// How far the robot of the images has gone from the drawn one from the first frame to the last, metres.
+    drift_m: Option<Estimate>,
+    /// What each frame tells.
+    frames: Vec<ToldFrame>,
+}
+
+/// One frame of a camera; null where it cannot be told.
+#[derive(Debug, Serialize, JsonSchema)]
+struct ToldFrame {
+    /// Why it cannot be told; empty where it can.
+    why: &'static str,
+    /// Where the robot of the image lies as seen from the drawn one, right and down, pixels.
+    shift_px: Option<[f32; 2]>,
+    /// Standard deviation of the length of the shift, pixels.
+    sigma_px: Option<f32>,
+    /// Length of the shift at the robot's depth, across the line of sight, metres.
+    offset_m: Option<f32>,
+    /// Its standard deviation, metres.
+    sigma_m: Option<f32>,
+    /// As for the camera.
+    overlay: Option<f32>,
+}
+
+impl ToldClip {
+    fn of(clip: &AuditedClip) -> Self {
+        Self {
+            clip: clip.id.clone(),
+            setting: clip.agreements.setting.clone(),
+            cameras: clip.agreements.cameras.iter().map(ToldCamera::of).collect(),
+        }
+    }
+}
+
+impl ToldCamera {
+    fn of(own: &CameraAgreement) -> Self {
+        let frame = |view: &ViewAgreement| {
+            let number = |value: f32| value.is_finite().then_some(value);
+            ToldFrame {
+                why: view.state.words(),
+                shift_px: view.shift_px.iter().all(|value| value.is_finite()).then_some(view.shift_px),
+                sigma_px: number(view.sigma_px),
+                offset_m: number(view.offset_m),
+                sigma_m: number(view.sigma_m),
+                overlay: number(view.overlay),
+            }
+        };
+        Self {
+            camera: own.name.clone(),
+            verdict: own.verdict,
+            mistake: own.mistake.clone(),
+            why: own.why.clone(),
+            overlay: own.overlay,
+            offset: own.offset,
+            tried: own.tried.clone(),
+            lag_frames: own.lag_frames,
+            drift_m: own.drift_m,
+            frames: own.views.iter().map(frame).collect(),
+        }
+    }
 }
 
 /// Images with the drawn outline, a strip a camera.

@@ -24,7 +24,7 @@ mod plots;
 mod results;
 mod write;
 
-pub use audit::{Audit, AuditedClip};
+pub use audit::{Audit, AuditedClip, ToldAudit};
 pub use forms::Form;
 pub use results::RunResults;
 pub use write::write_report;

@@ -76,7 +76,7 @@ pub struct ViewAgreement {
 }
 
 /// A distance with its standard deviation.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct Offset {
     /// In the image, pixels.
     pub px: f64,
@@ -87,7 +87,7 @@ pub struct Offset {
 }
 
 /// A number with its standard deviation.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct Estimate {
     /// The number.
     pub value: f64,
@@ -96,7 +96,7 @@ pub struct Estimate {
 }
 
 /// A supposition about what is wrong, and how well it fits.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct TriedMistake {
     /// Short name, for scripts.
     pub name: String,
@@ -107,7 +107,9 @@ pub struct TriedMistake {
 }
 
 /// What is said of a camera, in short.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, schemars::JsonSchema,
+)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
     /// The robot lies on the images.

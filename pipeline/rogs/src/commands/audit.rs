@@ -70,7 +70,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         rogs_files::write_bytes(path, audit.page("rogs audit").as_bytes())?;
     }
     output::after_work(if args.json {
-        output::json(&audit.json())
+        output::json(&audit.told())
     } else {
         output::text(&audit.text())
     })?;

@@ -7,6 +7,7 @@ use rogs_orchestrator::export::Export;
 use rogs_orchestrator::gc::Collected;
 use rogs_orchestrator::slurm::Submission;
 use rogs_orchestrator::status::Status;
+use rogs_report::ToldAudit;
 use rogs_robot::fk_json::FkRow;
 use rogs_schemas::ledger::Attempt;
 use rogs_schemas::selection::Selection;
@@ -57,6 +58,7 @@ macro_rules! formats {
 }
 
 formats! {
+    "audit" 1 ToldAudit, "rogs audit";
     "completions" 1 completions::Script, "rogs completions";
     "config" 1 config::Shown, "rogs config show";
     "demo" 1 DemoOutcome, "rogs demo";
