@@ -105,14 +105,26 @@ fn following(table: &Value, group: &str, column: &str) -> Option<f64> {
     let columns = table["columns"].as_array().unwrap();
     let place = columns.iter().position(|own| own["name"] == column).unwrap();
     let rows = table["rows"].as_array().unwrap();
-    let row = rows.iter().find(|row| row["group"] == group && row["label"] == "all cameras");
+    let row = rows
+        .iter()
+        .find(|row| row["group"] == group && row["label"] == "all cameras");
     row.unwrap_or_else(|| panic!("no `{group}`: {table:#}"))["cells"][place]["mean"]["value"].as_f64()
 }
 
 #[test]
 fn a_rollout_whose_robot_lags_is_told_beside_the_recorded_floor() {
     let workspace = Workspace::empty();
-    let mut arguments = vec!["synth", "--episodes", "1", "--seed", "3", "--size", "280x154", "--frames", "24"];
+    let mut arguments = vec![
+        "synth",
+        "--episodes",
+        "1",
+        "--seed",
+        "3",
+        "--size",
+        "280x154",
+        "--frames",
+        "24",
+    ];
     arguments.extend(["--out", "data", "--rollouts", "--lag", "2"]);
     let made = workspace.rogs(&arguments);
     assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));

@@ -262,7 +262,11 @@ impl ToldCamera {
             let number = |value: f32| value.is_finite().then_some(value);
             ToldFrame {
                 why: view.state.words(),
-                shift_px: view.shift_px.iter().all(|value| value.is_finite()).then_some(view.shift_px),
+                shift_px: view
+                    .shift_px
+                    .iter()
+                    .all(|value| value.is_finite())
+                    .then_some(view.shift_px),
                 sigma_px: number(view.sigma_px),
                 offset_m: number(view.offset_m),
                 sigma_m: number(view.sigma_m),
