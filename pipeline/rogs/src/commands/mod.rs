@@ -1,7 +1,7 @@
 //! The commands, one module each.
 
-mod calibrate;
 mod audit;
+mod calibrate;
 mod cohort;
 mod completions;
 mod config;
