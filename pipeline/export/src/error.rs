@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 /// Result of this crate.
-pub type Result<T> = std::result::Result<T, Error>;
+pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// What can be wrong with a file of another program, or with what is to become one.
 #[derive(Debug, thiserror::Error)]
@@ -14,6 +14,12 @@ pub enum Error {
     Wrong {
         /// The file.
         path: PathBuf,
+        /// What is wrong, and where.
+        what: String,
+    },
+    /// A scene is not one.
+    #[error("scene: {what}")]
+    Scene {
         /// What is wrong, and where.
         what: String,
     },

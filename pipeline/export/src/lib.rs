@@ -8,12 +8,14 @@
 //! | [`gltf`] | glTF: Gaussians, links and cameras over time |
 //! | [`dataset`] | images, poses, masks, depth and points of a clip for nerfstudio and COLMAP |
 //! | [`splats`] | frames whose y points up; which Gaussians can be written |
+//! | [`scene`] | the Gaussians of a field over time, for the viewer in the browser (`docs/spec/scene.md`) |
 
 pub mod dataset;
 mod error;
 pub mod fourdgs;
 pub mod gltf;
 pub mod nerfstudio;
+pub mod scene;
 pub mod splats;
 pub mod spz;
 
