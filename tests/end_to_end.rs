@@ -37,7 +37,14 @@ fn a_run_makes_every_output_and_a_second_run_makes_none() {
     let report = std::fs::read_to_string(first["report"].as_str().unwrap()).unwrap();
     assert!(report.contains("data:image/jpeg;base64,"));
     assert!(report.contains("UNTRAINED WEIGHTS"));
-    assert!(!report.contains("http://") && !report.contains("https://") && !report.contains("<script"));
+    // Its one script is the viewer's; the scenes lie beside it.
+    let (before, viewer) = report.rsplit_once("<script>").unwrap();
+    assert!(!before.contains("http://") && !before.contains("https://") && !before.contains("<script"));
+    assert!(viewer.contains("rogsScene"));
+    for scene in ["0001-1.js", "0001-2.js"] {
+        assert!(workspace.path("run/report/scenes").join(scene).is_file(), "{scene}");
+        assert!(before.contains(scene), "{scene}");
+    }
 
     // Both methods have scores; what has no reference (LPIPS without weights) is null, what has one is a number.
     let (_, scores) = workspace.rogs_json(&["table", "run", "--table", "main", "--json"]);

@@ -123,6 +123,10 @@ fn dependencies_point_one_way() {
                 "rogs-orchestrator",
                 "rogs-pages",
                 "rogs-score",
+                "rogs-geometry",
+                "rogs-robot",
+                "rogs-field",
+                "rogs-export",
             ],
             _ => &[
                 "rogs-schemas",

@@ -11,20 +11,27 @@
 //! # }
 //! ```
 //!
-//! The page needs no network and no script: pictures are inlined, and a content security policy forbids everything else.
+//! The page needs no network: pictures and the script of the players are inlined, and a content security policy forbids
+//! everything else but the scenes beside it, `report/scenes/` ([`Player`], `docs/viewer.md`).
 //! Text is escaped by type, see `maud`.
 
 mod audit;
+mod beside;
 mod contract;
 mod costs;
 mod forms;
 mod page;
 mod pictures;
+mod players;
 mod plots;
 mod results;
+mod scenes;
 mod write;
 
 pub use audit::{Audit, AuditedClip, ToldAudit};
 pub use forms::Form;
+pub use page::viewer_page;
+pub use players::{Player, SceneSource};
 pub use results::RunResults;
+pub use scenes::{RobotMesh, SceneError, SceneFiles, scenes_of};
 pub use write::write_report;

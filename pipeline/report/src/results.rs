@@ -51,6 +51,10 @@ pub(crate) struct ClipResults {
     pub(crate) robot: Option<PathBuf>,
     /// Whether the robot lies on the images: of the recorded clip, and of the rollout.
     pub(crate) agreements: Vec<PathBuf>,
+    /// The field of Stage 1.
+    pub(crate) field: Option<PathBuf>,
+    /// What Stage 2 adds to it.
+    pub(crate) refinement: Option<PathBuf>,
     /// Scores by method, in the order of the plan; by node where the file cannot be read.
     pub(crate) scores: Vec<(String, PathBuf)>,
     /// What went wrong.
@@ -123,6 +127,8 @@ impl RunResults {
                         .extend(read_record::<Agreements>(&path).map(|(own, _)| own));
                     clip.agreements.push(path);
                 }
+                StageId::Lift if !node.by_key => clip.field = clip.field.take().or(Some(path)),
+                StageId::Refine if !node.by_key => clip.refinement = clip.refinement.take().or(Some(path)),
                 StageId::Score => match read_record::<Scores>(&path) {
                     // An outside method without a prediction for the clip: it does not count there.
                     Ok((scores, _)) if is_empty(&scores.summary) => {}

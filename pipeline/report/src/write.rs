@@ -8,8 +8,10 @@ use rogs_orchestrator::{Error, Result};
 use rogs_schemas::shown;
 use rogs_score::tables::{Table, TableId, TableOptions};
 
+use crate::beside::beside_page;
 use crate::forms::Form;
 use crate::page::page;
+use crate::players::Player;
 use crate::results::RunResults;
 
 /// Folder of the report in a run folder.
@@ -39,8 +41,14 @@ pub fn write_report(run: &Path) -> Result<PathBuf> {
     }
     let manifest = Manifest::load(&results.plan.manifest).ok();
     let picture_clips = manifest.and_then(|(manifest, _)| manifest.report.clips);
-    let page = page(&results, &tables, picture_clips.unwrap_or(PICTURE_CLIPS));
+    let picture_clips = picture_clips.unwrap_or(PICTURE_CLIPS);
+    let robot = results.robot_mesh();
     rogs_files::make_folder_below(&results.plan.run, &folder)?;
+    let mut players: Vec<Player> = Vec::new();
+    for (index, clip) in results.clips.iter().enumerate().take(picture_clips) {
+        players.extend(beside_page(&results.plan.run, &folder, index, clip, robot.as_ref())?);
+    }
+    let page = page(&results, &tables, &players, picture_clips);
     let path = folder.join("index.html");
     // Whatever else has a name in the page.
     write_bytes(&path, shown::text(&page.into_string()).as_bytes())?;

@@ -1,4 +1,4 @@
-//! The page of a run: facts, tables, plots, failures, then a section a clip. No scripts.
+//! The page of a run: players, facts, plots, tables, failures, then a section a clip, and what is folded.
 
 pub(crate) mod agreement;
 mod clip;
@@ -7,27 +7,46 @@ mod failure;
 use std::collections::BTreeSet;
 
 use maud::{Markup, html};
-use rogs_score::tables::Table;
+use rogs_score::tables::{Table, TableId};
 
 use crate::forms::to_html;
+use crate::players::{self, Player};
 use crate::plots::{bars, plots};
 use crate::results::{ClipResults, RunResults};
 
 pub(crate) const STYLE: &str = include_str!("style.css");
 
-/// The page with these tables; the first `picture_clips` clips have pictures, the others are listed.
-pub(crate) fn page(results: &RunResults, tables: &[Table], picture_clips: usize) -> Markup {
+/// The page with these tables and players; the first `picture_clips` clips have pictures, the others are listed.
+pub(crate) fn page(results: &RunResults, tables: &[Table], players: &[Player], picture_clips: usize) -> Markup {
     let body = html! {
+        (players::section(players))
         (facts(results))
         (untrained_banner(results))
-        @for table in tables { (to_html(table)) }
         (figures(results))
+        @for table in tables.iter().filter(|table| !is_folded(table)) { (to_html(table)) }
         (failures(&results.clips))
         @for (index, clip) in results.clips.iter().enumerate() {
             (clip::section(clip, index == 0, index < picture_clips))
         }
+        @if tables.iter().any(is_folded) {
+            details {
+                summary { "Provenance and timings" }
+                @for table in tables.iter().filter(|table| is_folded(table)) { (to_html(table)) }
+            }
+        }
     };
-    rogs_pages::page(&format!("rogs: {}", results.plan.name), STYLE, &body)
+    players::page(&format!("rogs: {}", results.plan.name), STYLE, &body, players, false)
+}
+
+/// A page that has these players and nothing else, for a server that answers their addresses.
+#[must_use]
+pub fn viewer_page(title: &str, players: &[Player]) -> Markup {
+    players::page(title, STYLE, &players::section(players), players, true)
+}
+
+/// Whether a table is for those who ask how the numbers came about.
+fn is_folded(table: &Table) -> bool {
+    matches!(table.id, TableId::Inputs | TableId::Timing)
 }
 
 /// Most lines about which frames of their episodes the clips are.

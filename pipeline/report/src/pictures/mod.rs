@@ -8,5 +8,5 @@ mod picture;
 mod sheets;
 
 pub(crate) use comparison::{Comparison, comparison, rollout};
-pub(crate) use picture::Figure;
+pub(crate) use picture::{Figure, photograph};
 pub(crate) use sheets::{inputs, overlay, renders, robot};

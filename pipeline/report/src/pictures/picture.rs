@@ -83,6 +83,12 @@ impl Picture {
     }
 }
 
+/// A recorded image as a JPEG file; none where it has not that size.
+pub(crate) fn photograph(width: u32, height: u32, rgb: &[u8]) -> Option<Vec<u8>> {
+    let figure = Picture::from_rgb(width, height, rgb)?.jpeg(String::new())?;
+    Some(figure.bytes)
+}
+
 /// Pictures in rows and columns, missing ones left grey. All cells have the size of the first picture.
 pub(super) fn grid(rows: &[Vec<Option<Picture>>]) -> Option<Picture> {
     let first = rows.iter().flatten().flatten().next()?;

@@ -1,0 +1,224 @@
+//! Scenes of the players: from the records of a clip to what the viewer reads (`docs/spec/scene.md`).
+
+use std::path::{Path, PathBuf};
+
+use rogs_export::scene::{LinkMesh, SceneCamera, SceneHead, ScenePicture, SceneWriter};
+use rogs_field::TimedField;
+use rogs_geometry::{Base, Link, Pose, PosedCamera, Recon};
+use rogs_r4c::read_record;
+use rogs_robot::{Mesh, RobotModel, names};
+use rogs_schemas::records::clip::{CameraRole, Clip};
+use rogs_schemas::records::field::Field;
+use rogs_schemas::records::refinement::Refinement;
+use rogs_schemas::records::robot::{RobotMaps, RobotSpec};
+use rogs_schemas::units::LengthUnit;
+use rogs_schemas::{CameraIndex, FrameIndex};
+
+use crate::pictures::photograph;
+
+/// Most triangles of a robot that is drawn.
+const MOST_TRIANGLES: usize = 300_000;
+/// Highest degree of harmonics that the viewer draws.
+const DEGREE: usize = 1;
+
+/// Why there is no scene.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SceneError {
+    /// A file of the clip cannot be read.
+    #[error(transparent)]
+    Record(#[from] rogs_r4c::Error),
+    /// The field contradicts itself or its refinement.
+    #[error(transparent)]
+    Field(#[from] rogs_field::Error),
+    /// A pose is none.
+    #[error(transparent)]
+    Geometry(#[from] rogs_geometry::Error),
+    /// The robot cannot be read.
+    #[error(transparent)]
+    Robot(#[from] rogs_robot::Error),
+    /// The scene cannot be written.
+    #[error(transparent)]
+    Scene(#[from] rogs_export::Error),
+    /// Files of different clips.
+    #[error("clip or robot maps belong to clip `{found}`, the field to `{expected}`")]
+    OtherClip {
+        /// Clip of the file.
+        found: String,
+        /// Clip of the field.
+        expected: String,
+    },
+}
+
+/// Files that the scenes of a clip are made of.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SceneFiles {
+    /// The field of Stage 1.
+    pub field: PathBuf,
+    /// What Stage 2 adds.
+    pub refinement: Option<PathBuf>,
+    /// Cameras and recorded images.
+    pub clip: PathBuf,
+    /// Poses of cameras and links.
+    pub robot: PathBuf,
+}
+
+/// The meshes of a robot, by the names of its links.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct RobotMesh {
+    links: Vec<(String, Mesh)>,
+}
+
+impl RobotMesh {
+    /// Reads the description and its meshes, those that robot maps are drawn with; nothing is drawn of a robot with more than
+    /// 300,000 triangles.
+    ///
+    /// # Errors
+    /// When they cannot be read.
+    pub fn load(urdf: &Path, spec: &RobotSpec) -> Result<Self, SceneError> {
+        let model = RobotModel::load(urdf)?;
+        let mut links = Vec::new();
+        for link in &model.links {
+            if names::matches_any(&spec.exclude_links, &link.name) {
+                continue;
+            }
+            let collision = names::matches_any(&spec.collision_links, &link.name);
+            let mut mesh = Mesh::default();
+            for shape in if collision { &link.collision } else { &link.visual } {
+                mesh.append(&Mesh::of_shape(shape, &model.folder, spec.mesh_axes)?.mesh);
+            }
+            mesh.weld();
+            links.push((link.name.clone(), mesh));
+        }
+        let triangles: usize = links.iter().map(|(_, mesh)| mesh.triangles.len()).sum();
+        if triangles > MOST_TRIANGLES {
+            links.clear();
+        }
+        Ok(Self { links })
+    }
+
+    fn of_links(&self, names: &[String]) -> Vec<LinkMesh> {
+        let mesh = |(link, name): (usize, &String)| {
+            let (_, mesh) = self.links.iter().find(|(own, _)| own == name)?;
+            (!mesh.triangles.is_empty()).then(|| LinkMesh {
+                link,
+                positions: mesh.positions.clone(),
+                triangles: mesh.triangles.clone(),
+            })
+        };
+        names.iter().enumerate().filter_map(mesh).collect()
+    }
+}
+
+/// The scenes of a clip, by name: of Stage 1, and with the corrections of Stage 2 where there are some.
+///
+/// # Errors
+/// When a file cannot be read or belongs to another clip.
+pub fn scenes_of(
+    files: &SceneFiles,
+    robot_mesh: Option<&RobotMesh>,
+) -> Result<Vec<(&'static str, Vec<u8>)>, SceneError> {
+    let (field, _) = read_record::<Field>(&files.field)?;
+    let (clip, _) = read_record::<Clip>(&files.clip)?;
+    let (robot, _) = read_record::<RobotMaps>(&files.robot)?;
+    for found in [&clip.clip_id, &robot.clip_id] {
+        if *found != field.clip_id {
+            return Err(SceneError::OtherClip {
+                found: found.to_string(),
+                expected: field.clip_id.to_string(),
+            });
+        }
+    }
+    let refinement = match &files.refinement {
+        Some(path) => Some(read_record::<Refinement>(path)?.0),
+        None => None,
+    };
+    let mut head = head(&clip, &robot, &field)?;
+    let (pictures, meshes) = (
+        pictures(&clip, &field),
+        robot_mesh.map(|mesh| mesh.of_links(&robot.link_names)),
+    );
+    let meshes = meshes.unwrap_or_default();
+    let mut scenes = Vec::new();
+    let stage1 = TimedField::new(&field)?;
+    let mut write = |name: &'static str, timed: &TimedField<'_>, own: bool| {
+        head.name = name.to_owned();
+        let writer = SceneWriter {
+            head: &head,
+            link_of: &field.link,
+            // The viewer takes what scenes have in common from the first one.
+            meshes: if own { &meshes } else { &[] },
+            pictures: if own { &pictures } else { &[] },
+            unit: LengthUnit::Internal,
+            most_degree: DEGREE,
+        };
+        let bytes = writer.bytes(|time| Ok::<_, SceneError>(timed.gaussians(field.slices[time].time)?))?;
+        scenes.push((name, bytes));
+        Ok::<_, SceneError>(())
+    };
+    write("Stage 1", &stage1, true)?;
+    if let Some(refinement) = &refinement {
+        write("Stage 1+2", &stage1.with_refinement(refinement)?, false)?;
+    }
+    Ok(scenes)
+}
+
+/// The clip frame nearest to each stored time.
+fn frames(clip: &Clip, field: &Field) -> Vec<FrameIndex> {
+    let last = clip.frame_count().saturating_sub(1) as f64;
+    let times = field.slices.iter().map(|slice| slice.time * last);
+    times.map(|frame| FrameIndex(frame.round() as u32)).collect()
+}
+
+fn head(clip: &Clip, robot: &RobotMaps, field: &Field) -> Result<SceneHead, SceneError> {
+    let recon_from_base: Pose<Recon, Base> = Pose::from_rigid(&field.recon_from_base)?;
+    let frames = frames(clip, field);
+    let mut cameras = Vec::new();
+    for (index, camera) in CameraIndex::first(clip.cameras.len()).zip(&clip.cameras) {
+        let pose = |frame: &FrameIndex| {
+            let posed = PosedCamera::of_clip(clip, robot, index, *frame)?.in_frame(&recon_from_base);
+            Ok::<_, SceneError>(posed.world_from_camera.to_matrix4())
+        };
+        cameras.push(SceneCamera {
+            id: camera.id.clone(),
+            held_out: camera.role == CameraRole::Evaluation,
+            width: clip.width,
+            height: clip.height,
+            fx: camera.intrinsics.fx,
+            fy: camera.intrinsics.fy,
+            cx: camera.intrinsics.cx,
+            cy: camera.intrinsics.cy,
+            recon_from_camera: frames.iter().map(pose).collect::<Result<_, _>>()?,
+        });
+    }
+    let count = robot.link_names.len();
+    let links = |frame: &FrameIndex| {
+        let own = robot.base_from_link.iter().skip(frame.at() * count).take(count);
+        let pose = |pose| Ok::<_, SceneError>((recon_from_base * Pose::<Base, Link>::from_rigid(pose)?).to_matrix4());
+        own.map(pose).collect::<Result<Vec<_>, _>>()
+    };
+    Ok(SceneHead {
+        title: clip.clip_id.to_string(),
+        name: String::new(),
+        times: field.slices.iter().map(|slice| slice.time).collect(),
+        seconds: clip.frame_count().saturating_sub(1) as f64 / clip.fps,
+        recon_from_base: recon_from_base.to_matrix4(),
+        cameras,
+        links: robot.link_names.clone(),
+        recon_from_link: frames.iter().map(links).collect::<Result<_, _>>()?,
+    })
+}
+
+/// What the cameras recorded at the stored times.
+fn pictures(clip: &Clip, field: &Field) -> Vec<ScenePicture> {
+    let mut pictures = Vec::new();
+    for (camera, index) in CameraIndex::first(clip.cameras.len()).enumerate() {
+        for (time, &frame) in frames(clip, field).iter().enumerate() {
+            let jpeg = clip
+                .target(index, frame)
+                .and_then(|target| photograph(clip.width, clip.height, target.rgb()));
+            pictures.extend(jpeg.map(|jpeg| ScenePicture { camera, time, jpeg }));
+        }
+    }
+    pictures
+}
