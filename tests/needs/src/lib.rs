@@ -27,6 +27,8 @@
 //! | `plyfile`, `pycolmap`, `fourdgs` | the same |
 //! | `qemu` | `qemu-x86_64-static`, which emulates processors, on an x86-64 machine |
 //! | `bash` | the shell |
+//! | `chromium` | the browser, on the `PATH` |
+//! | `node` | `node`, and what `npm ci` installs in `pipeline/report/viewer` |
 //! | `cc` | a C compiler |
 //! | `mount` | the right to mount a file system |
 //! | `slurm` | root, and the programs of Slurm and munge |

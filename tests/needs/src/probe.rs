@@ -48,6 +48,11 @@ pub(crate) fn missing(need: &str, why: &str) -> Result<Option<String>, String> {
             "needs GNU parallel",
         ),
         "hyperqueue" => unless(imports("hyperqueue"), "needs Python with hyperqueue (ROGS_PEER_PYTHON)"),
+        "chromium" => unless(on_path("chromium"), "needs chromium"),
+        "node" => unless(
+            on_path("node") && viewer_modules().is_dir(),
+            "needs node, and `npm ci` in pipeline/report/viewer",
+        ),
         "bash" => unless(on_path("bash"), "needs bash"),
         // A mount namespace takes the same right as a mount, and leaves nothing behind.
         "mount" => unless(succeeds("unshare", &["--mount", "true"]), "needs the right to mount"),
@@ -76,6 +81,11 @@ pub(crate) fn shared_root() -> String {
     };
     let root = std::env::var_os("ROGS_SHARED").map_or_else(beside, PathBuf::from);
     root.to_string_lossy().into_owned()
+}
+
+/// What `npm ci` installs for the viewer.
+fn viewer_modules() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../pipeline/report/viewer/node_modules")
 }
 
 fn on_path(program: &str) -> bool {

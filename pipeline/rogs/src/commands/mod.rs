@@ -34,6 +34,7 @@ mod submit;
 mod synth;
 mod table;
 mod verify;
+mod view;
 mod viewpoint;
 mod weights;
 
@@ -99,6 +100,7 @@ enum Command {
     Weights(weights::Args),
     Render(render::Args),
     Query(query::Args),
+    View(view::Args),
     Inspect(inspect::Args),
     Fk(fk::Args),
     Export(export::Args),
@@ -142,6 +144,7 @@ pub(crate) fn run(command_line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Table(args) => table::run(&args),
         Command::Query(args) => query::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::View(args) => view::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Fk(args) => fk::run(&args),
         Command::Export(args) => export::run(&args),
