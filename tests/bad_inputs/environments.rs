@@ -75,8 +75,9 @@ fn every_stage_and_command_does_without_locks_below_any_name() {
     assert_eq!(workspace.rogs(&["run", "manifest.toml"]).status.code(), Some(0));
     let library = workspace.path("without.so");
     workspace.write("without.c", include_str!("../support/without_operations.c"));
-    let made = Command::new("cc").args(["-shared", "-fPIC", "-o"]).arg(&library);
-    let made = made.arg(workspace.path("without.c")).arg("-ldl").status();
+    let mut compiler = Command::new("cc");
+    compiler.args(["-shared", "-fPIC", "-o"]).arg(&library);
+    let made = compiler.arg(workspace.path("without.c")).arg("-ldl").status();
     assert!(made.unwrap().success());
     let folder = workspace.path(NAME);
     std::fs::create_dir(&folder).unwrap();
