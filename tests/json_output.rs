@@ -102,6 +102,8 @@ const FORMATS: [(&[&str], &[&str]); 7] = [
     (&ROLLOUTS, &["export-rollout-inputs", "weights-fetch"]),
 ];
 
+/// What ends with Ctrl-C alone, and prints an address.
+const ENDLESS: [&str; 1] = ["rogs-view"];
 /// The commands that only group others.
 const GROUPS: [&str; 4] = ["rogs", "rogs-config", "rogs-export", "rogs-weights"];
 
@@ -215,6 +217,7 @@ fn every_command_has_a_check_of_its_json() {
         &DEMO,
         &ROLLOUTS,
         &GROUPS,
+        &ENDLESS,
     ]
     .concat();
     assert_eq!(names, here.into_iter().map(str::to_owned).collect());

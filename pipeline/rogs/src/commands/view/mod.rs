@@ -45,12 +45,15 @@ pub(crate) struct Args {
 #[derive(Debug, clap::Args)]
 struct FieldFiles {
     /// The clip of a field, for its cameras and images. Default: `clip.r4c` beside the field.
-    #[arg(long = "clip-file", value_name = "FILE")]
-    clip: Option<PathBuf>,
+    #[arg(long, value_name = "FILE")]
+    clip_file: Option<PathBuf>,
     /// Robot maps of the clip of a field. Default: `robot.r4c` beside the field.
     #[arg(long, value_name = "FILE")]
     robot: Option<PathBuf>,
 }
+
+/// Clips by name, with the files that their scenes are made of.
+type Clips = Vec<(String, SceneFiles)>;
 
 /// What a scene is called, and its bytes.
 type Made = (&'static str, Arc<Vec<u8>>);
@@ -93,7 +96,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
 }
 
 /// Clips of a run that have a field.
-fn of_run(args: &Args) -> anyhow::Result<(String, Vec<(String, SceneFiles)>, Option<RobotMesh>)> {
+fn of_run(args: &Args) -> anyhow::Result<(String, Clips, Option<RobotMesh>)> {
     for (given, name) in [(&args.refinement, "--refinement"), (&args.urdf, "--urdf")] {
         ensure!(given.is_none(), "a run folder knows its files; leave `{name}` out");
     }
@@ -117,7 +120,7 @@ fn of_run(args: &Args) -> anyhow::Result<(String, Vec<(String, SceneFiles)>, Opt
 }
 
 /// One field, with what lies beside it.
-fn of_field(args: &Args) -> anyhow::Result<(String, Vec<(String, SceneFiles)>, Option<RobotMesh>)> {
+fn of_field(args: &Args) -> anyhow::Result<(String, Clips, Option<RobotMesh>)> {
     ensure!(args.clip.is_empty(), "`--clip` chooses clips of a run; a field is one");
     let field = &args.scene;
     let beside = |given: &Option<PathBuf>, name: &str| given.clone().unwrap_or_else(|| field.with_file_name(name));
@@ -128,11 +131,17 @@ fn of_field(args: &Args) -> anyhow::Result<(String, Vec<(String, SceneFiles)>, O
             .refinement
             .clone()
             .or(Some(corrected).filter(|path| path.is_file())),
-        clip: beside(&args.beside.clip, "clip.r4c"),
+        clip: beside(&args.beside.clip_file, "clip.r4c"),
         robot: beside(&args.beside.robot, "robot.r4c"),
     };
+    // As it looks: no link is left out.
+    let whole = RobotSpec {
+        exclude_links: Vec::new(),
+        collision_links: Vec::new(),
+        ..RobotSpec::default()
+    };
     let mesh = |urdf: &PathBuf| {
-        RobotMesh::load(urdf, &RobotSpec::default()).with_context(|| format!("reading the robot `{}`", urdf.display()))
+        RobotMesh::load(urdf, &whole).with_context(|| format!("reading the robot `{}`", urdf.display()))
     };
     let robot = args.urdf.as_ref().map(mesh).transpose()?;
     let title = field.display().to_string();
@@ -140,7 +149,7 @@ fn of_field(args: &Args) -> anyhow::Result<(String, Vec<(String, SceneFiles)>, O
 }
 
 impl Viewer {
-    fn new(title: &str, clips: Vec<(String, SceneFiles)>, robot: Option<RobotMesh>) -> Self {
+    fn new(title: &str, clips: Clips, robot: Option<RobotMesh>) -> Self {
         let player = |(index, (name, files)): (usize, &(String, SceneFiles))| {
             let names = ["Stage 1", "Stage 1+2"]
                 .into_iter()
@@ -192,7 +201,7 @@ impl Content for Viewer {
                 Some(("application/octet-stream", Arc::clone(bytes)))
             }
             Err(what) => {
-                output::note(&format!("clip `{}` cannot be shown: {what}", clip.name));
+                output::warning(&format!("clip `{}` cannot be shown: {what}", clip.name));
                 None
             }
         }
