@@ -114,16 +114,13 @@ fn serials(source: &Source) -> String {
 fn base_from_camera(written: &WrittenPose, what: &str, own: &SourceMount, path: &Path) -> StageResult<RigidPose> {
     let stored = crate::checks::rigid_pose(written, what, path)?;
     let inverted = inverse(&stored, what, path)?;
-    if let SourceMount::Fixed(own) = own {
-        if !near(&inverted, own) && near(&stored, own) {
-            return Err(wrong(
-                path,
-                format!(
-                    "{what} is camera-to-base: it fits the episode's camera only so, PointWorld keeps base-to-camera"
-                ),
-            )
-            .with_hint("invert the matrix"));
-        }
+    if let SourceMount::Fixed(own) = own
+        && !near(&inverted, own)
+        && near(&stored, own)
+    {
+        let text =
+            format!("{what} is camera-to-base: it fits the episode's camera only so, PointWorld keeps base-to-camera");
+        return Err(wrong(path, text).with_hint("invert the matrix"));
     }
     Ok(inverted)
 }
