@@ -3,6 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
+/// Folders that programs fill, wherever they lie.
+const MADE: [&str; 2] = ["target", "node_modules"];
 /// Folders of the repository that hold text of ours.
 pub(crate) const FOLDERS: [&str; 8] = [
     ".ci",
@@ -47,7 +49,7 @@ pub(crate) fn files() -> Vec<File> {
             let entry = entry.unwrap();
             let path = folder.join(entry.file_name());
             let kind = entry.file_type().unwrap();
-            if kind.is_dir() && deep && entry.file_name() != "target" {
+            if kind.is_dir() && deep && !MADE.iter().any(|made| entry.file_name() == *made) {
                 walk(root, &path, true, out);
             }
             let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
