@@ -10,6 +10,7 @@ use rogs_schemas::ids::did_you_mean;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::{CameraIndex, FrameIndex};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::export_field::AxesArg;
@@ -70,11 +71,15 @@ enum MasksArg {
 }
 
 /// What was written.
-#[derive(Debug, Serialize)]
-struct Written {
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct Written {
+    /// The folder.
     path: PathBuf,
+    /// Images to train on.
     training: usize,
+    /// Images held out.
     held_out: usize,
+    /// Points to start from.
     points: usize,
 }
 

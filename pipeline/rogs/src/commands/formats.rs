@@ -24,7 +24,10 @@ use super::run::RunOutcome;
 use super::verify::Verified;
 use super::weights::catalogue::PublicFile;
 use super::weights::told;
-use super::{completions, config, doctor, export_field, film, init, inspect, list, man, render, status, synth};
+use super::{
+    calibrate, completions, config, doctor, export_clip, export_field, film, init, inspect, list, man, render, status,
+    synth,
+};
 use crate::output::{Format, Items};
 
 /// One kind of JSON output.
@@ -59,11 +62,13 @@ macro_rules! formats {
 
 formats! {
     "audit" 1 ToldAudit, "rogs audit";
+    "calibrate" 1 calibrate::told::Told, "rogs calibrate";
     "completions" 1 completions::Script, "rogs completions";
     "config" 1 config::Shown, "rogs config show";
     "demo" 1 DemoOutcome, "rogs demo";
     "diff" 1 Difference, "rogs diff";
     "doctor" 1 Items<doctor::Finding>, "rogs doctor";
+    "export-clip" 1 export_clip::Written, "rogs export clip";
     "export-field" 1 export_field::Written, "rogs export field";
     "export-rollout-inputs" 1 Folders, "rogs export rollout-inputs";
     "film" 1 film::Made, "rogs render --video, rogs query --video";

@@ -3,7 +3,7 @@
 mod camera;
 mod clips;
 mod file;
-mod told;
+pub(super) mod told;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

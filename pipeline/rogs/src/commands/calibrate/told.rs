@@ -5,19 +5,16 @@ use std::path::PathBuf;
 use rogs_agreement::audit::Mount;
 use rogs_calibration::{Fit, Refined};
 use rogs_orchestrator::columns;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::Args;
 use super::camera::Calibrated;
 use super::clips::Clips;
 
-/// Version of what is printed as JSON.
-const FORMAT: &str = "rogs-calibration 1";
-
 /// What is printed.
-#[derive(Serialize)]
-pub(super) struct Told {
-    format: &'static str,
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct Told {
     /// The file that was written.
     calibration: PathBuf,
     episodes: Vec<String>,
@@ -29,7 +26,7 @@ pub(super) struct Told {
     seconds: f64,
 }
 
-#[derive(Serialize)]
+#[derive(Serialize, JsonSchema)]
 struct Camera {
     camera: String,
     /// `fixed` or `hand`.
@@ -49,13 +46,13 @@ struct Camera {
     picture: Option<PathBuf>,
 }
 
-#[derive(Serialize)]
+#[derive(Serialize, JsonSchema)]
 struct Searched {
     overlay: f64,
     other: Option<f64>,
 }
 
-#[derive(Serialize)]
+#[derive(Serialize, JsonSchema)]
 struct Quality {
     edge_px: f64,
     overlay: f64,
@@ -63,7 +60,7 @@ struct Quality {
 }
 
 /// By unknown, in the camera's axes.
-#[derive(Serialize)]
+#[derive(Serialize, JsonSchema)]
 struct Numbers {
     shift_mm: [f64; 3],
     turn_degrees: [f64; 3],
@@ -138,7 +135,6 @@ impl Told {
             }
         };
         Self {
-            format: FORMAT,
             calibration: args.out.clone(),
             episodes: clips.episodes.clone(),
             start: clips.start.clone(),
