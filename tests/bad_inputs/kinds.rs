@@ -168,7 +168,8 @@ fn tables_and_descriptions_as_programs_write_them() {
     };
     // These cannot be listed by the name that they have inside: they are called by their folders.
     description(&mut cases, "json-mark", Nothing, |text| format!("\u{feff}{text}"));
-    let damages: [(&str, &str, fn(&str) -> String); 7] = [
+    type Damage = fn(&str) -> String;
+    let damages: [(&str, &str, Damage); 7] = [
         ("json-cut", "it ends in the middle", |text| text[..200].to_owned()),
         (
             "json-empty",
