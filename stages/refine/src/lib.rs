@@ -15,6 +15,7 @@ mod recurrence;
 mod refinement;
 mod resume;
 mod source_time;
+#[cfg(feature = "training")]
 pub mod training;
 mod weights;
 
