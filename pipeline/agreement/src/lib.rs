@@ -24,6 +24,7 @@ pub use following::{Following, MovedView, follow, link_offsets};
 pub use measure::{EdgeSample, Measurement, Settings, measure};
 pub use motion::{MotionAgreement, MovingFrame, motion};
 pub use shift::{ImageShift, common_shift};
+pub use solve::{inverse, solve};
 pub use view::{Surface, View};
 
 /// What does not fit together in a view.

@@ -1,7 +1,9 @@
 //! Small linear systems.
 
-/// Solves a symmetric positive system by Cholesky's factorisation; `None` where it is not positive.
-pub(crate) fn solve<const N: usize>(mut matrix: [[f64; N]; N], mut right: [f64; N]) -> Option<[f64; N]> {
+/// Solves a symmetric positive system by Cholesky's factorisation, of which the lower half is read; `None` where it is not
+/// positive. `[N, N]`, `[N]`
+#[must_use]
+pub fn solve<const N: usize>(mut matrix: [[f64; N]; N], mut right: [f64; N]) -> Option<[f64; N]> {
     for i in 0..N {
         for j in 0..=i {
             let mut sum = matrix[i][j];
@@ -9,7 +11,7 @@ pub(crate) fn solve<const N: usize>(mut matrix: [[f64; N]; N], mut right: [f64; 
                 sum -= matrix[i][k] * matrix[j][k];
             }
             if i == j {
-                if sum <= 0.0 {
+                if !(sum > 0.0 && sum.is_finite()) {
                     return None;
                 }
                 matrix[i][i] = sum.sqrt();
@@ -27,8 +29,9 @@ pub(crate) fn solve<const N: usize>(mut matrix: [[f64; N]; N], mut right: [f64; 
     Some(right)
 }
 
-/// The inverse of a symmetric positive matrix.
-pub(crate) fn inverse<const N: usize>(matrix: &[[f64; N]; N]) -> Option<[[f64; N]; N]> {
+/// The inverse of a symmetric positive matrix, of which the lower half is read; `None` where it is not positive. `[N, N]`
+#[must_use]
+pub fn inverse<const N: usize>(matrix: &[[f64; N]; N]) -> Option<[[f64; N]; N]> {
     let mut out = [[0.0; N]; N];
     for (column, row) in out.iter_mut().enumerate() {
         // The inverse is symmetric: its columns are its rows.
@@ -58,6 +61,7 @@ mod tests {
             let again: f64 = (0..6).map(|j| inverse[i][j] * right[j]).sum();
             assert!((again - truth[i]).abs() < 1e-9, "{inverse:?}");
         }
+        assert!(solve([[0.0; 2]; 2], [1.0; 2]).is_none());
         assert_eq!(solve([[0.0; 6]; 6], [1.0; 6]), None);
     }
 }

@@ -1,6 +1,8 @@
 //! Robust least squares of few unknowns: Levenberg and Marquardt's damping, Tukey's weights, a prior, the covariance
 //! (`docs/spec/calibration.md` section 2).
 
+use rogs_agreement::{inverse, solve};
+
 use crate::correction::{Correction, Prior, UNKNOWNS, Vector};
 
 /// A square matrix of the unknowns.
@@ -126,7 +128,7 @@ pub(crate) fn minimise(
             for i in 0..UNKNOWNS {
                 damped[i][i] *= 1.0 + damping;
             }
-            let step = cholesky(damped)?.solve(right);
+            let step = solve(damped, right)?;
             let candidate = correction.stepped(&step);
             let there = rows(&candidate);
             if let Some(there) = there
@@ -148,22 +150,18 @@ pub(crate) fn minimise(
     let scales = Scales::of(&current, widest);
     let weights: Vec<f64> = current.iter().map(|row| scales.weigh(row)).collect();
     let (matrix, _) = normal(&current, &weights, &correction, &sigmas);
-    let factor = cholesky(matrix)?;
-    let inflation = inflation(&current, &weights, &factor, &sigmas);
-    let mut covariance = [[0.0; UNKNOWNS]; UNKNOWNS];
-    for i in 0..UNKNOWNS {
-        if sigmas[i].is_some() {
-            let mut unit = [0.0; UNKNOWNS];
-            unit[i] = 1.0;
-            covariance[i] = factor.solve(unit).map(|value| inflation * value);
-        }
+    let mut covariance = inverse(&matrix)?;
+    let inflation = inflation(&current, &weights, &covariance, &sigmas);
+    for (i, row) in covariance.iter_mut().enumerate() {
+        let factor = if sigmas[i].is_some() { inflation } else { 0.0 };
+        *row = row.map(|value| factor * value);
     }
     Some(Solved { correction, covariance })
 }
 
 /// How much more the blocks disagree with each other than the normal matrix expects, at least 1: errors of one image are
 /// alike along a contour, and those of one image and the next are too.
-fn inflation(rows: &[Row], weights: &[f64], factor: &Cholesky, sigmas: &[Option<f64>; UNKNOWNS]) -> f64 {
+fn inflation(rows: &[Row], weights: &[f64], inverse: &Square, sigmas: &[Option<f64>; UNKNOWNS]) -> f64 {
     let mut pulls = [[0.0; UNKNOWNS]; BLOCKS];
     let mut used = [false; BLOCKS];
     for (row, weight) in rows.iter().zip(weights).filter(|(_, weight)| **weight > 0.0) {
@@ -180,7 +178,9 @@ fn inflation(rows: &[Row], weights: &[f64], factor: &Cholesky, sigmas: &[Option<
     let squares: f64 = pulls
         .iter()
         .map(|pull| {
-            let moved = factor.solve(*pull);
+            let moved = inverse
+                .iter()
+                .map(|row| row.iter().zip(pull).map(|(a, b)| a * b).sum::<f64>());
             pull.iter().zip(moved).map(|(a, b)| a * b).sum::<f64>()
         })
         .sum();
@@ -239,61 +239,9 @@ fn normal(
     (matrix, right)
 }
 
-/// The lower factor of a symmetric positive matrix.
-pub(crate) struct Cholesky(Square);
-
-/// Factorises a symmetric matrix of which the lower half is read; `None` when it is not positive.
-pub(crate) fn cholesky(mut matrix: Square) -> Option<Cholesky> {
-    for i in 0..UNKNOWNS {
-        for j in 0..=i {
-            let known: f64 = (0..j).map(|k| matrix[i][k] * matrix[j][k]).sum();
-            let rest = matrix[i][j] - known;
-            if i == j {
-                if !(rest > 0.0 && rest.is_finite()) {
-                    return None;
-                }
-                matrix[i][i] = rest.sqrt();
-            } else {
-                matrix[i][j] = rest / matrix[j][j];
-            }
-        }
-    }
-    Some(Cholesky(matrix))
-}
-
-impl Cholesky {
-    fn solve(&self, mut right: Vector) -> Vector {
-        let lower = &self.0;
-        for i in 0..UNKNOWNS {
-            let known: f64 = (0..i).map(|k| lower[i][k] * right[k]).sum();
-            right[i] = (right[i] - known) / lower[i][i];
-        }
-        for i in (0..UNKNOWNS).rev() {
-            let known: f64 = (i + 1..UNKNOWNS).map(|k| lower[k][i] * right[k]).sum();
-            right[i] = (right[i] - known) / lower[i][i];
-        }
-        right
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn cholesky_solves_what_it_is_given() {
-        let mut matrix = [[0.0; UNKNOWNS]; UNKNOWNS];
-        for i in 0..UNKNOWNS {
-            for j in 0..UNKNOWNS {
-                matrix[i][j] = 1.0 / (1 + i + j) as f64 + if i == j { 0.5 } else { 0.0 };
-            }
-        }
-        let truth: Vector = std::array::from_fn(|i| i as f64 - 4.5);
-        let right = std::array::from_fn(|i| (0..UNKNOWNS).map(|j| matrix[i][j] * truth[j]).sum());
-        let found = cholesky(matrix).unwrap().solve(right);
-        assert!(found.iter().zip(truth).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}");
-        assert!(cholesky([[0.0; UNKNOWNS]; UNKNOWNS]).is_none());
-    }
 
     /// Rows that ask for a known turn, shift and focal length; every seventh is wrong by a lot.
     fn linear(correction: &Correction) -> Option<Vec<Row>> {

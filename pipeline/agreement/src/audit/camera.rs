@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::footage::{Filmed, Mount};
+use super::footage::{Filmed, Mount, evenly};
 use super::hand;
 use super::mistake::Mistake;
 use super::trial::{Picture, Supposed, Trials};
@@ -31,16 +31,6 @@ pub(super) fn given(camera: &Filmed<'_>) -> Supposed {
         delay: 0,
         drift: None,
     }
-}
-
-/// `count` frames, evenly from the first to the last.
-pub(super) fn all_frames(frames: usize, count: usize) -> Vec<usize> {
-    let count = count.clamp(1, frames.max(1));
-    let mut chosen: Vec<usize> = (0..count)
-        .map(|i| i * (frames.saturating_sub(1)) / (count - 1).max(1))
-        .collect();
-    chosen.dedup();
-    chosen
 }
 
 /// What is known of a camera so far.
@@ -143,7 +133,7 @@ impl Found {
         if count < 4 {
             return;
         }
-        let seven = all_frames(count, 7);
+        let seven = evenly(count, 7);
         let (first, _) = trials.refine(index, given, &seven[..2]);
         let (last, [turn, step]) = trials.refine(index, given, &seven[seven.len() - 2..]);
         let drifting = Supposed {

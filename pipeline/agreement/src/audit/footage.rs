@@ -131,3 +131,13 @@ impl Footage<'_> {
         Ok(())
     }
 }
+
+/// `count` frames, evenly from the first to the last.
+pub(super) fn evenly(frames: usize, count: usize) -> Vec<usize> {
+    let count = count.clamp(1, frames.max(1));
+    let mut chosen: Vec<usize> = (0..count)
+        .map(|i| i * (frames.saturating_sub(1)) / (count - 1).max(1))
+        .collect();
+    chosen.dedup();
+    chosen
+}

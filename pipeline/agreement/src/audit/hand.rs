@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use rogs_geometry::{Camera, Pose};
 use rogs_robot::raster::Renderer;
 
-use super::camera::all_frames;
+use super::footage::evenly;
 use super::trial::{Supposed, Trials, moved, twist};
 use crate::measure::Settings;
 
@@ -26,7 +26,7 @@ pub(super) struct Elsewhere {
 /// Turns a camera about its x and y by up to 24 degrees, which from so near looks as a step does, and refines the best
 /// places. `steady` and `half` hold its steady image, at full and at half size.
 pub(super) fn search(steady: &Trials<'_>, half: &Trials<'_>, camera: usize, given: &Supposed) -> Option<Elsewhere> {
-    let frames = all_frames(steady.footage.frames(), 2);
+    let frames = evenly(steady.footage.frames(), 2);
     let turned = |turn: DVec3| Supposed {
         mount: given.mount.moved(moved(turn, DVec3::ZERO)),
         ..given.clone()
@@ -59,7 +59,7 @@ pub(super) fn followed(trials: &Trials<'_>, camera: usize, given: &Supposed) -> 
     };
     let mut renderer = Renderer::new(trials.footage.scene);
     let mut total: Pose<Camera, Camera> = Pose::IDENTITY;
-    let frames: Vec<usize> = all_frames(trials.footage.frames(), 33);
+    let frames: Vec<usize> = evenly(trials.footage.frames(), 33);
     let mut gain = 0.0;
     for &frame in &frames {
         let mut own = Supposed {

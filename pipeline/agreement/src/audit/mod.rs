@@ -20,7 +20,8 @@ use rayon::prelude::*;
 
 use crate::Result;
 use crate::agreement::Why;
-use camera::{Found, all_frames};
+use camera::Found;
+use footage::evenly;
 use suppositions::suppositions_of;
 use trial::{Supposed, Trials};
 use watch::watch;
@@ -74,7 +75,7 @@ pub fn audit(footage: &Footage<'_>) -> Result<Vec<CameraAudit>> {
     let steady_images = pictures::steady(footage);
     let steady_footage = pictures::with_steady(footage, &steady_images);
     let given: Vec<Supposed> = footage.cameras.iter().map(camera::given).collect();
-    let frames = all_frames(footage.frames(), 4);
+    let frames = evenly(footage.frames(), 4);
     let raw = Trials::of(footage, &plain);
     let steady = Trials::of(&steady_footage, &plain);
     let mut found: Vec<Found> = (0..given.len())

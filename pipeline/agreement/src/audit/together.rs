@@ -2,8 +2,9 @@
 
 use rayon::prelude::*;
 
-use super::camera::{Found, LAGS, all_frames};
+use super::camera::{Found, LAGS};
 use super::footage::Footage;
+use super::footage::evenly;
 use super::mistake::Mistake;
 use super::states;
 use super::trial::{Supposed, Trials};
@@ -45,7 +46,7 @@ pub(super) fn look_at_clock(trials: &Trials<'_>, given: &[Supposed], found: &mut
     let delay = -lag.round() as i64;
     let reach = (delay.unsigned_abs() as usize).min(count / 2);
     let inner: Vec<usize> = (reach..count - reach).collect();
-    let inner: Vec<usize> = all_frames(inner.len(), 5)
+    let inner: Vec<usize> = evenly(inner.len(), 5)
         .into_iter()
         .filter_map(|i| inner.get(i).copied())
         .collect();
@@ -95,7 +96,7 @@ pub(super) fn look_at_gripper(footage: &Footage<'_>, given: &[Supposed], found: 
         return Ok(());
     }
     let trials = Trials::of(footage, &tables);
-    let frames = all_frames(footage.frames(), 6);
+    let frames = evenly(footage.frames(), 6);
     for (index, found) in found.iter_mut().enumerate() {
         if !found.on_hand || found.why.is_some() || found.explained() {
             continue;

@@ -270,7 +270,7 @@ fn read_annotation(root: &Path, name: &str) -> StageResult<(PathBuf, Annotation)
     let annotation = rogs_schemas::json::read(&text).map_err(|error| {
         let error = wrong(&path, format!("not a Ctrl-World annotation: {error}"));
         if text.contains("NaN") {
-            error.with_hint("Python's `NaN` is no number: a state that was not measured cannot be used")
+            error.with_hint("Python's `NaN` is not a number: a state that was not measured cannot be used")
         } else {
             error
         }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use rogs_calibration::rig;
+use rogs_geometry::{Base, Camera, Frame, Pose};
 use rogs_ingest::{EpisodeListing, Fit, Params, QueryChoice, count_frames, list_episodes, outline, read_clip};
 use rogs_orchestrator::Error;
 use rogs_orchestrator::manifest::Manifest;
@@ -207,10 +208,9 @@ impl Start {
             let mut entry = json!({"intrinsic": [[i.fx, 0, i.cx], [0, i.fy, i.cy], [0, 0, 1]]});
             if on_hand {
                 entry["link"] = Value::from(rig::DROID_HAND);
-                entry["camera_to_link"] = super::file::rows(&rig::droid_hand_eye());
+                entry["camera_to_link"] = rows(&rig::droid_hand_eye());
             } else {
-                entry["camera_to_base"] =
-                    super::file::rows(&rogs_geometry::Pose::<rogs_geometry::Base, rogs_geometry::Camera>::IDENTITY);
+                entry["camera_to_base"] = rows(&Pose::<Base, Camera>::IDENTITY);
             }
             cameras.insert(name.clone(), entry);
         }
@@ -234,4 +234,10 @@ impl Drop for Start {
 fn is_on_hand(name: &str) -> bool {
     let name = name.to_lowercase();
     ["wrist", "hand", "gripper"].iter().any(|word| name.contains(word))
+}
+
+/// The first three rows of a pose, to a nanometre and a nanoradian.
+pub(super) fn rows<A: Frame, B: Frame>(pose: &Pose<A, B>) -> Value {
+    let m = pose.to_matrix4().map(|value| (value * 1e9).round() / 1e9);
+    json!([m[0..4], m[4..8], m[8..12]])
 }

@@ -1,19 +1,13 @@
 //! The calibration file (`docs/calibration-format.md`).
 
 use rogs_agreement::audit::Mount;
-use rogs_geometry::{Base, Camera, Frame, Link, Pinhole, Pose};
+use rogs_geometry::{Base, Camera, Link, Pinhole, Pose};
 use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip, ClipCamera};
 use serde_json::{Map, Value, json};
 
 use super::Args;
 use super::camera::Calibrated;
-use super::clips::Clips;
-
-/// The first three rows of a pose, to a nanometre and a nanoradian.
-pub(super) fn rows<A: Frame, B: Frame>(pose: &Pose<A, B>) -> Value {
-    let m = pose.to_matrix4().map(|value| (value * 1e9).round() / 1e9);
-    json!([m[0..4], m[4..8], m[8..12]])
-}
+use super::clips::{Clips, rows};
 
 /// The text of the file: all cameras of the clips, those that were not calibrated as they were given.
 pub(super) fn calibration(clips: &Clips, cameras: &[Calibrated], args: &Args) -> String {

@@ -62,7 +62,7 @@ pub(super) fn read(root: &Path) -> StageResult<Option<Metadata>> {
     let mut metadata: Metadata = rogs_schemas::json::read(&text).map_err(|error| {
         let error = wrong(&path, format!("not the metadata of a DROID episode: {error}"));
         if text.contains("NaN") {
-            error.with_hint("Python's `NaN` is no number: give that camera another calibration")
+            error.with_hint("Python's `NaN` is not a number: give that camera another calibration")
         } else {
             error
         }
