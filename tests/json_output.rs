@@ -65,8 +65,8 @@ const FORMATS: [(&[&str], &[&str]); 7] = [
     (
         &RUNS,
         &[
-            "config",
             "audit",
+            "config",
             "diff",
             "gc",
             "inspect",
@@ -82,8 +82,8 @@ const FORMATS: [(&[&str], &[&str]); 7] = [
             "verify",
         ],
     ),
-    (&PICTURES, &["export-field", "film", "metrics", "render"]),
-    (&DATA, &["fk", "init", "list", "selection", "synth"]),
+    (&PICTURES, &["export-clip", "export-field", "film", "metrics", "render"]),
+    (&DATA, &["calibrate", "fk", "init", "list", "selection", "synth"]),
     (
         &WEIGHTS,
         &[
@@ -363,7 +363,6 @@ fn commands_about_data() {
     );
     let calibrate = ["calibrate", "data/episodes", "--camera", "ext1", "--size", "224x168"];
     let calibrated = asking.ask(0, &[&calibrate[..], &["--out", "cameras.json"]].concat());
-    assert_eq!(calibrated["format"], "rogs-calibration 1");
     assert_eq!(calibrated["cameras"][0]["camera"], "ext1");
     let written = std::fs::read_to_string(workspace.path("cameras.json")).unwrap();
     let written: Value = serde_json::from_str(&written).unwrap();
