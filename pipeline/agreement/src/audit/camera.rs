@@ -16,6 +16,8 @@ const SMALL: [f64; 2] = [0.015, 0.02];
 const SIMPLER: f64 = 0.05;
 /// A hand-eye pose that a search over many found needs this overlay: the best of many is good by chance.
 const FOUND: f64 = 0.35;
+/// Below this the robot does not lie on the images, whatever the offset says.
+const LEAST: f64 = 0.12;
 /// A pose that moves against the hand by less is none: metres, radians.
 const MOVES: [f64; 2] = [0.008, 0.02];
 /// A lag below this is no mistake, frames.
@@ -237,7 +239,7 @@ impl Found {
         } else if off.is_some() {
             let better = best.filter(|best| best.overlay > self.overlay + 0.04);
             (Verdict::Suspect, better.map(|best| best.mistake))
-        } else if self.offset.is_none() || self.overlay < 0.05 {
+        } else if self.offset.is_none() || self.overlay < LEAST {
             self.why = Some(Why::TooFewEdges);
             (Verdict::CannotTell, None)
         } else {

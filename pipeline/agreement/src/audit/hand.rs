@@ -9,11 +9,14 @@ use super::footage::evenly;
 use super::trial::{Supposed, Trials, moved, twist};
 use crate::measure::Settings;
 
-/// Step and number of steps to each side of the turns that are tried, radians.
-const STEP: f64 = 0.07;
-const STEPS: i32 = 6;
-/// So many of them are refined.
-const REFINED: usize = 4;
+/// Places along x and y are this far apart, metres: 15 cm before the gripper, a search of 12 px reaches that far.
+const STEP_M: f64 = 0.0125;
+/// Steps to each side.
+const STEPS: i32 = 5;
+/// Places along the axis, metres.
+const ALONG_M: [f64; 3] = [-0.03, 0.0, 0.03];
+/// So many places are refined.
+const REFINED: usize = 5;
 
 /// A camera that was found elsewhere.
 pub(super) struct Elsewhere {
@@ -23,25 +26,26 @@ pub(super) struct Elsewhere {
     pub overlay: f64,
 }
 
-/// Turns a camera about its x and y by up to 24 degrees, which from so near looks as a step does, and refines the best
-/// places. `steady` and `half` hold its steady image, at full and at half size.
+/// Moves a camera along its x and y by up to 6 cm, which turns it enough, too, so near to the gripper, and along its axis;
+/// refines the best places. `steady` and `half` hold its steady image, at full and at half size.
 pub(super) fn search(steady: &Trials<'_>, half: &Trials<'_>, camera: usize, given: &Supposed) -> Option<Elsewhere> {
     let frames = evenly(steady.footage.frames(), 2);
-    let turned = |turn: DVec3| Supposed {
-        mount: given.mount.moved(moved(turn, DVec3::ZERO)),
+    let gone = |step: DVec3| Supposed {
+        mount: given.mount.moved(moved(DVec3::ZERO, step)),
         ..given.clone()
     };
-    let places: Vec<DVec3> = (-STEPS..=STEPS)
-        .flat_map(|x| (-STEPS..=STEPS).map(move |y| DVec3::new(f64::from(x), f64::from(y), 0.0) * STEP))
+    let across = (-STEPS..=STEPS).flat_map(|x| (-STEPS..=STEPS).map(move |y| [x, y].map(f64::from)));
+    let places: Vec<DVec3> = across
+        .flat_map(|[x, y]| ALONG_M.map(|z| DVec3::new(x * STEP_M, y * STEP_M, z)))
         .collect();
     let mut rated: Vec<(f64, DVec3)> = places
         .par_iter()
-        .map(|&turn| (half.overlay(camera, &turned(turn), &frames[..1], None), turn))
+        .map(|&step| (half.overlay(camera, &gone(step), &frames[..1], None), step))
         .collect();
     rated.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let refined = rated[..REFINED.min(rated.len())].iter().map(|&(_, turn)| {
-        let (found, [more, step]) = steady.refine(camera, &turned(turn), &frames);
-        let total: Pose<Camera, Camera> = moved(turn, DVec3::ZERO) * moved(more, step);
+    let refined = rated[..REFINED.min(rated.len())].iter().map(|&(_, step)| {
+        let (found, [turn, more]) = steady.refine(camera, &gone(step), &frames);
+        let total: Pose<Camera, Camera> = moved(DVec3::ZERO, step) * moved(turn, more);
         Elsewhere {
             by: [total.quaternion().to_scaled_axis(), total.translation],
             overlay: steady.overlay(camera, &found, &frames, None),
