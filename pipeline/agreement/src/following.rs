@@ -16,6 +16,8 @@ const LONGEST: i64 = 6;
 const PRIOR_FRAMES: f64 = 4.0;
 /// A lag is told when its standard deviation is below this, frames.
 const TELLS_FRAMES: f64 = 0.6;
+/// And when this share of the weighted edges agrees.
+const AGREES: f64 = 0.4;
 /// Fewer frames tell no lag and no drift.
 const FEWEST_FRAMES: usize = 4;
 /// Edges that fewer frames than this see are few.
@@ -103,7 +105,7 @@ pub fn follow(views: &[Option<MovedView<'_>>]) -> Result<Following> {
         },
     );
     Ok(Following {
-        lag_frames: (lag_sigma < TELLS_FRAMES).then_some([lag - shown as f64, lag_sigma]),
+        lag_frames: (lag_sigma < TELLS_FRAMES && best.agreeing > AGREES).then_some([lag - shown as f64, lag_sigma]),
         drift_m: Some([drift.length(), drift_sigma]),
     })
 }

@@ -186,7 +186,11 @@ fn measure(
             _ => None,
         })
         .collect();
-    let following = follow(&moved).map_err(|error| wrong(&error))?;
+    let mut following = follow(&moved).map_err(|error| wrong(&error))?;
+    if matches!(clip.cameras[camera.at()].mount, CameraMount::HandEye { .. }) {
+        // The hand stands still in its own camera, however late it is.
+        following.lag_frames = None;
+    }
     Ok(Measured {
         camera,
         views: told,

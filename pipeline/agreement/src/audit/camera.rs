@@ -176,7 +176,9 @@ impl Found {
         index: usize,
         given: &Supposed,
     ) {
-        if !self.on_hand || self.is_blank() {
+        // A pose that is fitted to each frame fits better, also where the hand lies on its images.
+        let near = self.offset.is_some_and(|offset| offset[0] < SUSPECT_PX);
+        if !self.on_hand || self.is_blank() || (self.why.is_none() && near) {
             return;
         }
         let moving = hand::followed(trials, index, given);
@@ -237,7 +239,7 @@ impl Found {
         } else if self.why.is_some() {
             (Verdict::CannotTell, None)
         } else if off.is_some() {
-            let better = best.filter(|best| best.overlay > self.overlay + 0.04);
+            let better = best.filter(|best| best.overlay > self.overlay + 0.04 && best.overlay > FITS);
             (Verdict::Suspect, better.map(|best| best.mistake))
         } else if self.offset.is_none() || self.overlay < LEAST {
             self.why = Some(Why::TooFewEdges);
