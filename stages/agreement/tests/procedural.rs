@@ -86,7 +86,10 @@ fn a_right_clip_is_good_and_nobody_is_warned() {
     let (found, warnings) = told(&scene().clip, true);
     assert_eq!(warnings, Vec::<String>::new());
     assert_eq!(found.cameras.len(), 3);
-    assert_eq!(found.cameras[0].lag_frames, None, "the hand stands still in its own camera");
+    assert_eq!(
+        found.cameras[0].lag_frames, None,
+        "the hand stands still in its own camera"
+    );
     for camera in &found.cameras[1..] {
         assert_eq!(camera.verdict, Verdict::Good, "{}", camera.name);
         assert!(

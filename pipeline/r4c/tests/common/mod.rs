@@ -294,8 +294,8 @@ pub(crate) fn agreement() -> Agreements {
                 _ => told(frame as f32),
             })
             .collect(),
-        link_px: vec![f32::NAN, 0.5].repeat(FRAMES),
-        link_m: vec![f32::NAN, 0.001].repeat(FRAMES),
+        link_px: [f32::NAN, 0.5].repeat(FRAMES),
+        link_m: [f32::NAN, 0.001].repeat(FRAMES),
     };
     Agreements {
         clip_id: "clip".parse().unwrap(),
