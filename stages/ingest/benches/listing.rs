@@ -135,7 +135,8 @@ fn main() {
     let own = tempfile::tempdir().unwrap();
     let folder = std::env::var_os("ROGS_BENCH_DIR").map_or_else(|| own.path().to_owned(), PathBuf::from);
     let cold = std::env::var("ROGS_BENCH_COLD").ok();
-    let kinds: [(&str, fn(&Path, usize)); 3] = [("droid", droid), ("v21", lerobot_v21), ("v30", lerobot_v30)];
+    type Make = fn(&Path, usize);
+    let kinds: [(&str, Make); 3] = [("droid", droid), ("v21", lerobot_v21), ("v30", lerobot_v30)];
     for (kind, make) in kinds {
         for count in COUNTS {
             let root = folder.join(format!("{kind}-{count}"));
