@@ -3,7 +3,7 @@
 //! A file is records (opcode, u64 length, content) between two magics. Every time that is written is a state chunk, valid
 //! until the next one: now and then a keyframe with all Gaussians, otherwise the differences to the chunk before it. Each
 //! Gaussian has the velocity that brings it to where it is at the next time, so a reader sees centres move on straight lines
-//! between the times, and all else hold. Numbers are bins of fixed grids ([`bins`]); a difference is one of bins, so errors
+//! between the times, and all else hold. Numbers are bins of fixed grids (`bins.rs`); a difference is one of bins, so errors
 //! do not add up.
 
 mod bins;
