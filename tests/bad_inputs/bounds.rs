@@ -156,7 +156,7 @@ fn tables_of_any_length_take_little_memory() {
         assert_eq!(child.wait().unwrap().code(), Some(0));
         let text = std::fs::read_to_string(workspace.path("poses.json")).unwrap();
         assert_eq!(text.matches("\"row\"").count(), count);
-        assert!(text.starts_with("[\n  {") && text.ends_with("}\n]\n"));
+        assert!(text.starts_with("{\n  \"format\": \"rogs.fk/1\"") && text.ends_with("}\n  ]\n}\n"));
         most
     };
     // All rows and poses together would take 140 MB more.

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
 use rogs_export::{FourDgs, Gltf, LinkMesh};
 use rogs_field::Axes;
 use rogs_geometry::{Base, Pose, Recon};
@@ -41,6 +41,7 @@ pub(super) fn four_dgs(
     times: &[f64],
     at: &mut At<'_>,
 ) -> anyhow::Result<(usize, u64)> {
+    ascending(times)?;
     let scenery = scenery(args, file)?;
     let (&first, &last) = times.first().zip(times.last()).context("no time was asked for")?;
     let seconds = |time: f64| (time - first) * length(&scenery.clip);
@@ -64,6 +65,7 @@ pub(super) fn gltf(
     times: &[f64],
     at: &mut At<'_>,
 ) -> anyhow::Result<(usize, u64)> {
+    ascending(times)?;
     let scenery = scenery(args, file)?;
     let meshes = args.urdf.map_or_else(|| Ok(Vec::new()), link_meshes)?;
     let recon_from_base: Pose<Recon, Base> = Pose::from_rigid(&file.field.recon_from_base)?;
@@ -82,6 +84,12 @@ pub(super) fn gltf(
     let bytes = scene.finish(&format!("clip {}", file.field.clip_id))?;
     rogs_files::write_bytes(args.out, &bytes)?;
     Ok((count, bytes.len() as u64))
+}
+
+/// A file that plays needs its times in order.
+fn ascending(times: &[f64]) -> anyhow::Result<()> {
+    let wrong = times.windows(2).find(|pair| pair[0] >= pair[1]);
+    wrong.map_or(Ok(()), |pair| bail!("times must ascend: {} follows {}", pair[1], pair[0]))
 }
 
 fn scenery(args: &Moving<'_>, file: &FieldFile) -> anyhow::Result<Scenery> {
