@@ -47,7 +47,7 @@ fn poses_and_intrinsics() {
             matrix[row][3] = (1000.0 * number(&matrix[row][3])).into();
         }
     });
-    cases.edited("centimetres", Failure(" m", "were these centimetres?"), |episode| {
+    cases.edited("centimetres", Failure(" m", "centimetres?"), |episode| {
         let matrix = fixed(episode);
         for row in 0..3 {
             matrix[row][3] = (100.0 * number(&matrix[row][3])).into();

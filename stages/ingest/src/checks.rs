@@ -13,8 +13,8 @@ use crate::source::States;
 pub(crate) fn rigid_pose(written: &WrittenPose, what: &str, path: &Path) -> StageResult<RigidPose> {
     /// No camera of a table-top robot is further away, metres.
     const FAR: f64 = 20.0;
-    /// Numbers up to this are more likely centimetres than millimetres.
-    const CENTIMETRES: f64 = 200.0;
+    /// What a camera 1 to 5 m away has in centimetres, and one 0.1 to 0.5 m away in millimetres.
+    const EITHER: std::ops::Range<f64> = 100.0..500.0;
     let empty = match written {
         WrittenPose::Matrix(rows) => rows[..3].iter().flatten().all(|&entry| entry == 0.0),
         WrittenPose::Euler(six) => six.iter().all(|&entry| entry == 0.0),
@@ -36,10 +36,10 @@ pub(crate) fn rigid_pose(written: &WrittenPose, what: &str, path: &Path) -> Stag
     }
     let distance = pose.translation.length();
     if distance > FAR {
-        let unit = if distance > CENTIMETRES {
-            "millimetres"
-        } else {
-            "centimetres"
+        let unit = match distance {
+            _ if EITHER.contains(&distance) => "millimetres or centimetres",
+            _ if distance < EITHER.start => "centimetres",
+            _ => "millimetres",
         };
         return Err(wrong(path, format!("{what} has a translation of {distance:.1} m"))
             .with_hint(format!("translations are metres; were these {unit}?")));
