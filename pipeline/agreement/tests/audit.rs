@@ -315,13 +315,12 @@ fn sweep(seeds: std::ops::Range<u64>) -> Vec<(&'static str, [usize; 3])> {
     out
 }
 
-/// Episodes of each kind: `ROGS_AUDIT_EPISODES`, else 3 of a long test and 1 of a short one.
+/// Episodes of each kind: `ROGS_AUDIT_EPISODES`, else 1.
 fn episodes() -> std::ops::Range<u64> {
-    let long = std::env::var_os("ROGS_LONG_TESTS").is_some();
     let asked = std::env::var("ROGS_AUDIT_EPISODES")
         .ok()
         .map(|count| count.parse().unwrap());
-    0..asked.unwrap_or(if long { 3 } else { 1 })
+    0..asked.unwrap_or(1)
 }
 
 #[test]

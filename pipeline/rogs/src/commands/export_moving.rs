@@ -89,7 +89,9 @@ pub(super) fn gltf(
 /// A file that plays needs its times in order.
 fn ascending(times: &[f64]) -> anyhow::Result<()> {
     let wrong = times.windows(2).find(|pair| pair[0] >= pair[1]);
-    wrong.map_or(Ok(()), |pair| bail!("times must ascend: {} follows {}", pair[1], pair[0]))
+    wrong.map_or(Ok(()), |pair| {
+        bail!("times must ascend: {} follows {}", pair[1], pair[0])
+    })
 }
 
 fn scenery(args: &Moving<'_>, file: &FieldFile) -> anyhow::Result<Scenery> {
