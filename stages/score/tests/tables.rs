@@ -95,7 +95,8 @@ fn every_table_is_filled_and_without_scores_empty() {
             ..TableOptions::default()
         };
         let full = make(id, &sheets, &timings, options);
-        assert!(!full.rows.is_empty(), "{id}");
+        // That table is of agreements, not of scores: `tests/agreement.rs` fills it.
+        assert!(!full.rows.is_empty() || id == TableId::Following, "{id}");
         for row in &full.rows {
             assert_eq!(row.cells.len(), full.columns.len(), "{id} {}", row.label);
             assert!(

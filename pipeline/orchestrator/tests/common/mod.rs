@@ -80,7 +80,7 @@ impl Workspace {
 
     /// A manifest with more at its end.
     pub fn manifest(&self, more: &str) {
-        let text = "[run]\nname = \"toy\"\nout = \"run\"\nagreement = false\n\n[input]\nroot = \"episodes\"\n\n[robot]\nurdf = \"robot/robot.urdf\"\n\n";
+        let text = "[run]\nname = \"toy\"\nout = \"run\"\nagreement = false\n[input]\nroot = \"episodes\"\n\n[robot]\nurdf = \"robot/robot.urdf\"\n\n";
         self.write("toy.toml", &format!("{text}{more}"));
     }
 
