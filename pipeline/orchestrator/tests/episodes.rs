@@ -124,7 +124,7 @@ fn impossible_cuts_are_refused_where_they_stand() {
         "{message}"
     );
     let (message, _) = told(&workspace, &format!("{input}clips = 2\nstride = 0\n"));
-    assert!(message.starts_with("toy.toml:9:1: invalid stride 0"), "{message}");
+    assert!(message.starts_with("toy.toml:10:1: invalid stride 0"), "{message}");
     let (message, hint) = told(&workspace, &format!("{input}stride = 4\n"));
     assert!(
         message.contains("`stride` without `clips`") && hint.contains("clips = \"all\""),
@@ -206,7 +206,7 @@ fn missing_episodes_of_a_selection_are_named() {
     write(&workspace, &selection(&["a", "b", "lost", "strayed"], 4, 42));
     let (message, hint) = told(&workspace, SELECTED);
     assert!(
-        message.starts_with("toy.toml:8:1: 2 of the 4 selected episodes are not in `episodes`: lost, strayed"),
+        message.starts_with("toy.toml:9:1: 2 of the 4 selected episodes are not in `episodes`: lost, strayed"),
         "{message}"
     );
     assert!(hint.contains("exclude"), "{hint}");
