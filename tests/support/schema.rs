@@ -67,9 +67,20 @@ impl Checker<'_> {
             let Some(parts) = words.get(union).and_then(Value::as_array) else {
                 continue;
             };
+            // A choice knows what stands beside the choices, too.
+            let beside = |part: &Value| {
+                let mut part = part.clone();
+                if let (Some(own), Some(Value::Object(more))) = (part.as_object_mut(), words.get("properties")) {
+                    let known = own.entry("properties").or_insert_with(|| Map::new().into());
+                    for (name, schema) in more {
+                        known[name] = schema.clone();
+                    }
+                }
+                part
+            };
             let wrong: Vec<String> = parts
                 .iter()
-                .filter_map(|part| self.check(part, value, place).err())
+                .filter_map(|part| self.check(&beside(part), value, place).err())
                 .collect();
             let fit = parts.len() - wrong.len();
             if fit == 0 || union == "oneOf" && fit > 1 {
