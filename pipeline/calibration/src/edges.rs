@@ -82,45 +82,45 @@ pub(crate) struct Look {
 impl<'a> Level<'a> {
     /// Images of the chosen frames, `factor` times smaller.
     pub(crate) fn new(takes: &'a [Take<'a>], frames: &[(usize, usize)], factor: u32) -> Self {
-        let lens = takes[0].filmed().lens;
-        let (width, height) = (lens.width as usize, lens.height as usize);
-        let images = frames
-            .par_iter()
-            .map(|&(clip, frame)| {
-                let full = takes[clip].filmed().images[frame];
-                (clip, frame, shrunk(full, width, height, factor as usize))
-            })
-            .collect();
-        Self {
-            takes,
-            lens: shrunk_lens(&lens, factor),
-            mount_from_given: mount_from_camera(&takes[0].filmed().mount),
-            images,
-        }
+        let lens = shrunk_lens(&takes[0].filmed().lens, factor);
+        Self::of(takes, frames, lens, |rgb, width, height| {
+            shrunk(rgb, width, height, factor as usize)
+        })
     }
 
     /// Images of the chosen frames, `factor` times larger: contours are cut by discs of a few pixels, which moves those of
     /// round parts inwards; the larger the images, the less.
     pub(crate) fn enlarged(takes: &'a [Take<'a>], frames: &[(usize, usize)], factor: u32) -> Self {
-        let lens = takes[0].filmed().lens;
-        let (width, height) = (lens.width as usize, lens.height as usize);
+        let given = takes[0].filmed().lens;
+        let lens = given.resized(given.width * factor, given.height * factor);
+        Self::of(takes, frames, lens, |rgb, width, height| {
+            enlarged(rgb, width, height, factor as usize)
+        })
+    }
+
+    /// Images of the chosen frames, resized to those of `lens`.
+    fn of(
+        takes: &'a [Take<'a>],
+        frames: &[(usize, usize)],
+        lens: Pinhole,
+        resized: impl Fn(&[u8], usize, usize) -> Vec<u8> + Sync,
+    ) -> Self {
+        let given = takes[0].filmed().lens;
+        let (width, height) = (given.width as usize, given.height as usize);
         let images = frames
             .par_iter()
-            .map(|&(clip, frame)| {
-                let full = takes[clip].filmed().images[frame];
-                (clip, frame, enlarged(full, width, height, factor as usize))
-            })
+            .map(|&(clip, frame)| (clip, frame, resized(takes[clip].filmed().images[frame], width, height)))
             .collect();
         Self {
             takes,
-            lens: lens.resized(lens.width * factor, lens.height * factor),
+            lens,
             mount_from_given: mount_from_camera(&takes[0].filmed().mount),
             images,
         }
     }
 
-    /// Searches the edges of all frames under a correction. `wide`: edges that agree with the shift of their whole image
-    /// count more.
+    /// Searches the edges of all frames under a correction. In a range above 8 pixels, edges that agree with the shift of
+    /// their whole image count more.
     pub(crate) fn look(&self, correction: &Correction, settings: &Settings) -> Result<Look> {
         let looks: Vec<Result<Look>> = self
             .images

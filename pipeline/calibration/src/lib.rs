@@ -45,7 +45,7 @@ pub enum Error {
     /// A search compares what moves.
     #[error("no pose can be searched: the robot, or the image, does not move")]
     StandsStill,
-    /// The pose of the camera is recorded for every frame: there is no one pose to solve for.
+    /// The pose of the camera is recorded for every frame, and a single one is solved for.
     #[error("cannot be calibrated: its pose is recorded for every frame")]
     PoseOfEveryFrame,
     /// Nothing near the given pose makes the robot lie on the images.

@@ -196,12 +196,12 @@ fn refine_on_hand(takes: &[Take<'_>], full: &Level<'_>, given: &Look, prior: &Pr
 pub(crate) fn check(takes: &[Take<'_>]) -> Result<()> {
     let wrong = |what: &str| Err(Error::Input { what: what.to_owned() });
     let Some(first) = takes.first() else {
-        return wrong("there is no clip");
+        return wrong("expected at least one clip");
     };
     for take in takes {
         take.footage.check()?;
         let Some(filmed) = take.footage.cameras.get(take.camera) else {
-            return wrong("there is no such camera");
+            return wrong("a clip lacks the camera");
         };
         if matches!(filmed.mount, Mount::Path(_)) {
             return Err(Error::PoseOfEveryFrame);

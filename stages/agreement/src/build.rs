@@ -60,7 +60,7 @@ pub fn build(
     observer: &mut dyn Observer,
 ) -> StageResult<Agreements> {
     check(clip, maps)?;
-    let links = link_poses(clip, maps)?;
+    let links = link_poses(maps)?;
     let cameras = clip.source_cameras();
     let measured = observer.phase("measure", 0.0, || {
         (cameras.par_iter())
@@ -118,14 +118,13 @@ fn check(clip: &Clip, maps: &RobotMaps) -> StageResult<()> {
 }
 
 /// Link-to-base poses by frame.
-fn link_poses(clip: &Clip, maps: &RobotMaps) -> StageResult<Vec<Vec<Pose<Base, Link>>>> {
+fn link_poses(maps: &RobotMaps) -> StageResult<Vec<Vec<Pose<Base, Link>>>> {
     let of_frame = |poses: &[rogs_schemas::RigidPose]| {
         let pose = |pose| Pose::from_rigid(pose).map_err(|error| StageError::bad_input(error.to_string()));
         poses.iter().map(pose).collect()
     };
-    debug_assert_eq!(maps.base_from_link.len(), clip.frame_count() * maps.link_names.len());
     maps.base_from_link
-        .chunks(maps.link_names.len())
+        .chunks(maps.link_names.len().max(1))
         .map(of_frame)
         .collect()
 }
@@ -212,20 +211,7 @@ fn explain(clip: &Clip, robot: &Robot, params: &Params, measured: &[Measured]) -
             continue;
         };
         let wrong = |error: &dyn std::error::Error| StageError::bad_input(format!("camera `{}`: {error}", camera.id));
-        let mount = match &camera.mount {
-            CameraMount::Fixed { base_from_camera } => {
-                Mount::Fixed(Pose::from_rigid(base_from_camera).map_err(|error| wrong(&error))?)
-            }
-            CameraMount::Trajectory { base_from_camera } => Mount::Path(
-                (base_from_camera.iter())
-                    .map(|pose| Pose::from_rigid(pose).map_err(|error| wrong(&error)))
-                    .collect::<StageResult<_>>()?,
-            ),
-            CameraMount::HandEye { link, link_from_camera } => Mount::Hand {
-                link: robot.model.link_id(link).map_err(|error| wrong(&error))?,
-                link_from_camera: Pose::from_rigid(link_from_camera).map_err(|error| wrong(&error))?,
-            },
-        };
+        let mount = Mount::of_clip(&camera.mount, &robot.model).map_err(|error| wrong(&error))?;
         cameras.push(Filmed {
             name: &camera.id,
             lens: Pinhole::of_clip(clip, camera),

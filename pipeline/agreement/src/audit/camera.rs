@@ -20,7 +20,7 @@ const FOUND: f64 = 0.35;
 const LEAST: f64 = 0.12;
 /// A pose that moves against the hand by less is none: metres, radians.
 const MOVES: [f64; 2] = [0.008, 0.02];
-/// A lag below this is no mistake, frames.
+/// Smaller lags are not called a mistake, frames.
 pub(super) const LAGS: f64 = 0.75;
 
 /// The camera as the files say.

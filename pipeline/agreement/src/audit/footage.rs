@@ -2,6 +2,7 @@
 
 use rogs_geometry::{Base, Camera, Link, Pinhole, Pose};
 use rogs_robot::{MeshScene, RobotModel};
+use rogs_schemas::records::clip::CameraMount;
 use rogs_schemas::records::robot::RobotSpec;
 
 use crate::{Error, Result};
@@ -23,6 +24,27 @@ pub enum Mount {
 }
 
 impl Mount {
+    /// The mount of a camera as its clip has it.
+    ///
+    /// # Errors
+    /// When a pose is not rigid, or the robot lacks the link.
+    pub fn of_clip(mount: &CameraMount, model: &RobotModel) -> Result<Self> {
+        let wrong = |error: rogs_geometry::Error| Error {
+            what: error.to_string(),
+        };
+        Ok(match mount {
+            CameraMount::Fixed { base_from_camera } => Self::Fixed(Pose::from_rigid(base_from_camera).map_err(wrong)?),
+            CameraMount::Trajectory { base_from_camera } => {
+                let poses = base_from_camera.iter().map(Pose::from_rigid);
+                Self::Path(poses.collect::<std::result::Result<_, _>>().map_err(wrong)?)
+            }
+            CameraMount::HandEye { link, link_from_camera } => Self::Hand {
+                link: model.link_id(link).map_err(|error| Error { what: error.chain() })?,
+                link_from_camera: Pose::from_rigid(link_from_camera).map_err(wrong)?,
+            },
+        })
+    }
+
     /// The same camera moved in its own frame.
     #[must_use]
     pub fn moved(&self, by: Pose<Camera, Camera>) -> Self {

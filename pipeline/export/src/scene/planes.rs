@@ -39,7 +39,7 @@ pub(super) fn pack(values: &[i32], channels: usize) -> (Vec<u8>, Vec<u8>) {
 /// The integers of [`pack`], row-major.
 ///
 /// # Errors
-/// What is wrong, in words: bytes that are no deflate stream, or not of this many integers.
+/// What is wrong, in words: bytes that are not a deflate stream, or not of this many integers.
 pub(super) fn unpack(packed: &[u8], rows: usize, widths: &[u8]) -> Result<Vec<i32>, String> {
     if widths.iter().any(|&width| !(1..=4).contains(&width)) {
         return Err("an integer has 1 to 4 bytes".to_owned());

@@ -2,10 +2,10 @@
 
 use rogs_agreement::audit::{Filmed, Footage, Mount};
 use rogs_calibration::{Error as Unsolved, Picture, Prior, Refined, Settings, Take, overlay, refine, search};
-use rogs_geometry::{Pinhole, Pose};
+use rogs_geometry::Pinhole;
 use rogs_orchestrator::Error;
-use rogs_schemas::ids::did_you_mean;
-use rogs_schemas::records::clip::{CameraMount, CameraRole, Clip};
+use rogs_schemas::ids::unknown;
+use rogs_schemas::records::clip::{CameraRole, Clip};
 
 use super::Args;
 use super::clips::{Clips, Robot};
@@ -34,13 +34,9 @@ pub(super) fn calibrate_all(clips: &Clips, robot: &Robot, args: &Args) -> anyhow
         .filter(|camera| camera.role == CameraRole::Source)
         .map(|camera| camera.id.as_str())
         .collect();
-    if let Some(wrong) = args.camera.iter().find(|name| !names.contains(&name.as_str())) {
-        let error = Error::usage(format!("the clip has no camera `{wrong}`"));
-        let hint = match did_you_mean(wrong, names.iter().copied()) {
-            Some(meant) => format!("`{meant}`?"),
-            None => format!("it has {}", names.join(", ")),
-        };
-        return Err(error.with_hint(hint).into());
+    if let Some(told) = unknown(args.camera.iter().map(String::as_str), &names) {
+        let error = Error::usage(format!("the clip has no camera {told}"));
+        return Err(error.with_hint(format!("it has {}", names.join(", "))).into());
     }
     let wanted = names
         .into_iter()
@@ -92,20 +88,7 @@ fn given(clip: &Clip, robot: &Robot, name: &str) -> anyhow::Result<(Pinhole, Mou
     let Some(camera) = clip.cameras.iter().find(|camera| camera.id == name) else {
         return Err(Error::usage(format!("the clip has no camera `{name}`")).into());
     };
-    let mount = match &camera.mount {
-        CameraMount::Fixed { base_from_camera } => Mount::Fixed(Pose::from_rigid(base_from_camera)?),
-        CameraMount::Trajectory { base_from_camera } => {
-            let poses = base_from_camera
-                .iter()
-                .map(Pose::from_rigid)
-                .collect::<Result<_, _>>()?;
-            Mount::Path(poses)
-        }
-        CameraMount::HandEye { link, link_from_camera } => Mount::Hand {
-            link: robot.meshes.model().link_id(link)?,
-            link_from_camera: Pose::from_rigid(link_from_camera)?,
-        },
-    };
+    let mount = Mount::of_clip(&camera.mount, robot.meshes.model())?;
     Ok((Pinhole::of_clip(clip, camera), mount))
 }
 

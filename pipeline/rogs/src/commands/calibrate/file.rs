@@ -41,9 +41,7 @@ pub(super) fn calibration(clips: &Clips, cameras: &[Calibrated], args: &Args) ->
         "pixel_centres": "half",
         "cameras": entries,
     });
-    let mut text = serde_json::to_string_pretty(&file).unwrap_or_default();
-    text.push('\n');
-    text
+    format!("{file:#}\n")
 }
 
 fn intrinsic(lens: &Pinhole) -> Value {

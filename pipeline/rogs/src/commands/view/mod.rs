@@ -105,8 +105,7 @@ fn of_run(args: &Args) -> anyhow::Result<(String, Clips, Option<RobotMesh>)> {
     for wanted in &args.clip {
         let known = clips.iter().map(|(name, _)| name.as_str());
         if !known.clone().any(|name| name == wanted) {
-            let meant = rogs_schemas::ids::did_you_mean(wanted, known);
-            let meant = meant.map_or(String::new(), |meant| format!("; did you mean `{meant}`?"));
+            let meant = rogs_schemas::ids::suggestion(wanted, known);
             bail!("the run has no field of a clip `{wanted}`{meant}");
         }
     }
