@@ -33,6 +33,12 @@ def depth_scores(prediction, reference, range_m=(0.1, 5.0)) -> dict | None:
     return scores and dict(zip(("absrel", "rmse_m", "delta1", "pixels"), scores))
 
 
-def compare(prediction: str | os.PathLike, reference: str | os.PathLike, variant: str = "skimage-sample-cov") -> dict:
-    """Scores of two files or two folders of images, depth or arrays, as `rogs metrics --json` gives them."""
-    return json.loads(_rogs.score_paths(prediction, reference, variant))
+def compare(
+    prediction: str | os.PathLike,
+    reference: str | os.PathLike,
+    variant: str = "skimage-sample-cov",
+    units_m: tuple[float | None, float | None] = (None, None),
+) -> dict:
+    """Scores of two files or two folders of images, depth or arrays, as `rogs metrics --json` gives them; `units_m` are the
+    metres of one step of depth in the prediction and in the reference, None for what the files usually hold."""
+    return json.loads(_rogs.score_paths(prediction, reference, variant, list(units_m)))

@@ -95,10 +95,17 @@ pub(crate) fn depth_scores(
     Ok(scores.map(|scores| (scores.absrel, scores.rmse_m, scores.delta1, scores.count)))
 }
 
-/// Two files or two folders; JSON, as `rogs metrics --json` prints it.
+/// Two files or two folders; JSON, as `rogs metrics --json` prints it. `units_m`: metres of one step of depth in the
+/// prediction and in the reference.
 #[pyfunction]
-pub(crate) fn score_paths(py: Python<'_>, prediction: PathBuf, reference: PathBuf, name: &str) -> PyResult<String> {
+pub(crate) fn score_paths(
+    py: Python<'_>,
+    prediction: PathBuf,
+    reference: PathBuf,
+    name: &str,
+    units_m: [Option<f64>; 2],
+) -> PyResult<String> {
     let variant = variant(name)?;
-    let scores = py.detach(|| rogs_score::folders::score_paths(&prediction, &reference, variant, None));
+    let scores = py.detach(|| rogs_score::folders::score_paths(&prediction, &reference, variant, None, units_m));
     serde_json::to_string(&scores.map_err(said)?).map_err(said)
 }
