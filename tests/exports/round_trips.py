@@ -85,7 +85,7 @@ def fourdgs(folder, arrays):
         keep("log_scale", np.abs(np.log(pick("scales", "scale")) - np.log(arrays["scales"][moment])).max())
         quats = pick("orientations", "rotations", "rotation")[:, [3, 0, 1, 2]]
         keep("rotation", turned(quats, arrays["quats"][moment]))
-        rgba = pick("colors", "color")
+        rgba = pick("rgb", "colors", "color")
         keep("colour", np.abs(rgba[:, :3] - colour_of(arrays, moment).clip(0, 1)).max())
         opacity = pick("opacity", "opacities") if {"opacity", "opacities"} & set(state) else rgba[:, 3]
         keep("opacity", np.abs(opacity - arrays["opacities"][moment]).max())
