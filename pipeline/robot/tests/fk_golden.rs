@@ -140,7 +140,9 @@ fn the_table_form_follows_mimic_joints_and_names_its_errors() {
             .to_string()
     };
     assert!(error(&["panda_joint9"], &["0"]).contains("header, column 1"));
-    assert!(error(&["panda_joint9"], &["0"]).contains("did you mean"));
+    // As near to one joint as to another: all are named.
+    assert!(error(&["panda_joint9"], &["0"]).contains("it has panda_joint1, "));
+    assert!(error(&["panda_joint_4"], &["0"]).contains("did you mean `panda_joint4`?"));
     assert!(error(&["panda_joint8"], &["0"]).contains("fixed"));
     assert!(error(&["panda_joint1", "panda_joint1"], &["0", "0"]).contains("twice"));
     assert!(error(&["panda_joint1"], &["nan"]).contains("row 1, column `panda_joint1`"));

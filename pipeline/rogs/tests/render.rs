@@ -195,7 +195,7 @@ fn an_npz_holds_images_displacement_and_the_camera() {
         "--json",
     ]);
     let printed: Value = serde_json::from_str(&printed).unwrap();
-    let files: Vec<&str> = printed[0]["files"]
+    let files: Vec<&str> = printed["items"][0]["files"]
         .as_array()
         .unwrap()
         .iter()
