@@ -224,6 +224,40 @@ fn only_the_codec_names_bincode() {
     }
 }
 
+/// What a name stands for may be a pipe, a device or a pointer to a file that was not fetched: `rogs_files` alone opens
+/// files that people name.
+#[test]
+fn only_rogs_files_opens_files_for_reading() {
+    // The first may be `/dev/stdin`; others ask the system, or read what the generator has just written.
+    let free = [
+        "pipeline/worker/src/params.rs",
+        "pipeline/orchestrator/src/sys.rs",
+        "tools/synth/src",
+    ];
+    for path in sources() {
+        let place = path.strip_prefix(root()).unwrap();
+        // Readers in tests are files of their own in some crates.
+        let of_tests = path.file_stem().is_some_and(|stem| stem == "tests");
+        if of_tests || place.starts_with("pipeline/files") || free.iter().any(|free| place.starts_with(free)) {
+            continue;
+        }
+        for (line, code) in code_lines(&path) {
+            for call in ["File::open(", "fs::read(", "fs::read_to_string("] {
+                let begins =
+                    |at: usize| !code[..at].ends_with(|before: char| before.is_alphanumeric() || before == '_');
+                let found = code.match_indices(call).any(|(at, _)| begins(at));
+                // Places of the system have names in the program.
+                let of_system = ["\"/proc", "\"/sys"].iter().any(|place| code.contains(place));
+                assert!(
+                    !found || of_system,
+                    "{}:{line} opens a file itself: use rogs_files",
+                    place.display()
+                );
+            }
+        }
+    }
+}
+
 /// What is reconstructed is not what is scored: a stage asks the clip for the one or the other, and gets two types.
 #[test]
 fn stages_ask_a_clip_for_observations_or_targets() {

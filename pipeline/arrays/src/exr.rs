@@ -36,8 +36,8 @@ pub struct FlatExr {
     pub height: usize,
     /// Names of the channels, in the order of the file.
     pub channels: Vec<String>,
-    /// Whether the pixels are the whole picture: data window and display window agree.
-    pub whole: bool,
+    /// What the header says of the pixels and nobody uses, one statement each.
+    pub notes: Vec<String>,
 }
 
 impl FlatExr {
@@ -68,7 +68,6 @@ impl FlatExr {
         let a_pixel = 4 * header.channels.list.len() as u64 + 24;
         within_budget(path, length, width * height * a_pixel, "is it an image?")?;
         file.rewind().map_err(io)?;
-        let display = header.shared_attributes.display_window;
         Ok(Self {
             path: path.to_owned(),
             file,
@@ -77,7 +76,7 @@ impl FlatExr {
             channels: (header.channels.list.iter())
                 .map(|channel| channel.name.to_string())
                 .collect(),
-            whole: header.own_attributes.layer_position == display.position && header.layer_size == display.size,
+            notes: notes(header),
         })
     }
 
@@ -127,6 +126,13 @@ fn unreadable(path: &Path, error: &exr::error::Error) -> Error {
 
 /// What is wrong with a header, if something is.
 fn check(header: &Header) -> std::result::Result<(), String> {
+    let display = header.shared_attributes.display_window;
+    if header.own_attributes.layer_position != display.position || header.layer_size != display.size {
+        return Err("data window and display window differ; save the whole image".into());
+    }
+    if header.own_attributes.environment_map.is_some() {
+        return Err("it is a panorama (environment map), and the image of no camera".into());
+    }
     if header.deep {
         return Err("deep images have several values a pixel; save a flat image of the nearest surface".into());
     }
@@ -150,6 +156,37 @@ fn check(header: &Header) -> std::result::Result<(), String> {
         return Err("channels are subsampled; save every pixel".into());
     }
     Ok(())
+}
+
+/// What a header says of its pixels and nobody uses. Of what `check` lets pass this is the whole list: cameras, clip
+/// planes, times, exposures, names of programs, transforms for viewers and the like say nothing about which pixel is where
+/// or what its number means.
+fn notes(header: &Header) -> Vec<String> {
+    let shared = &header.shared_attributes;
+    let mut notes = Vec::new();
+    if (shared.pixel_aspect - 1.0).abs() > 1e-4 {
+        notes.push(format!(
+            "its pixels have the aspect {}: images are read as stored, intrinsics must be those of stored pixels",
+            shared.pixel_aspect
+        ));
+    }
+    let other = shared.chromaticities.is_some_and(|own| {
+        let own = [own.red, own.green, own.blue, own.white].map(|place| [place.0, place.1]);
+        let rec709 = [[0.64, 0.33], [0.3, 0.6], [0.15, 0.06], [0.3127, 0.329]];
+        own.iter()
+            .flatten()
+            .zip(rec709.iter().flatten())
+            .any(|(own, usual)| (own - usual).abs() > 0.005)
+    });
+    if other {
+        notes.push("its colours are those of another space than Rec. 709: they are taken as they are".to_owned());
+    }
+    if let Some(nits) = header.own_attributes.white_luminance.filter(|nits| *nits != 1.0) {
+        notes.push(format!(
+            "its white has {nits} candelas per square metre: colours are taken as they are"
+        ));
+    }
+    notes
 }
 
 /// Writes one channel of f32 values, `(width, height)` pixels, ZIP compressed. `[H, W]`
@@ -189,6 +226,72 @@ pub fn write_exr(
 #[allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_a_header_says_of_its_pixels_is_told_or_refused() {
+        use exr::meta::attribute::{Chromaticities, EnvironmentMap, IntegerBounds};
+
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("image.exr");
+        type Image = exr::prelude::Image<Layer<AnyChannels<FlatSamples>>>;
+        let opened = |change: &dyn Fn(&mut Image)| {
+            let channel = AnyChannel::new("Z", FlatSamples::F32(vec![1.0; 6]));
+            let channels = AnyChannels::sort(std::iter::once(channel).collect());
+            let layer = Layer::new((3, 2), LayerAttributes::default(), Encoding::default(), channels);
+            let mut image = Image::from_layer(layer);
+            change(&mut image);
+            image.write().to_file(&path).unwrap();
+            FlatExr::open(&path)
+                .map(|image| image.notes.concat())
+                .map_err(|error| error.to_string())
+        };
+        assert_eq!(opened(&|_| {}), Ok(String::new()));
+        let wide = Chromaticities {
+            red: (0.7347, 0.2653).into(),
+            green: (0.0, 1.0).into(),
+            blue: (0.0001, -0.077).into(),
+            white: (0.32168, 0.33767).into(),
+        };
+        let rec709 = Chromaticities {
+            red: (0.64, 0.33).into(),
+            green: (0.3, 0.6).into(),
+            blue: (0.15, 0.06).into(),
+            white: (0.3127, 0.329).into(),
+        };
+        assert_eq!(
+            opened(&|image| image.attributes.chromaticities = Some(rec709)),
+            Ok(String::new())
+        );
+        for (told, words) in [
+            (opened(&|image| image.attributes.pixel_aspect = 2.0), "aspect 2"),
+            (
+                opened(&|image| image.attributes.chromaticities = Some(wide)),
+                "another space than Rec. 709",
+            ),
+            (
+                opened(&|image| image.layer_data.attributes.white_luminance = Some(100.0)),
+                "100 candelas",
+            ),
+        ] {
+            assert!(told.as_ref().is_ok_and(|told| told.contains(words)), "{told:?}");
+        }
+        for (told, words) in [
+            (
+                opened(&|image| image.layer_data.attributes.environment_map = Some(EnvironmentMap::Cube)),
+                "panorama",
+            ),
+            (
+                opened(&|image| image.attributes.display_window = IntegerBounds::from_dimensions((5, 4))),
+                "data window and display window differ",
+            ),
+            (
+                opened(&|image| image.layer_data.attributes.layer_position = (1, 0).into()),
+                "data window and display window differ",
+            ),
+        ] {
+            assert!(told.as_ref().is_err_and(|told| told.contains(words)), "{told:?}");
+        }
+    }
 
     #[test]
     fn damaged_bytes_are_an_error_or_a_picture_never_a_panic() {

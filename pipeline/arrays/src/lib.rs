@@ -6,7 +6,7 @@
 //! | numpy `.npz`, `.safetensors` | [`ArrayFile`] | [`write_npz`] |
 //! | HDF5 | [`Hdf5File`] | |
 //! | OpenEXR, one flat part | [`FlatExr`] | [`write_exr`] |
-//! | PNG | [`Png`] | [`write_png`], [`grey_png_bytes`], [`grey16_png_bytes`] |
+//! | PNG | [`Png`]; what it and JPEG say beside their pixels: [`Remarks`] | [`write_png`], [`grey_png_bytes`], [`grey16_png_bytes`] |
 //!
 //! Readers meet files of strangers: what a header announces is compared with the length of the file (no file takes more
 //! memory than its [`budget`]), and with fixed limits, before anything is allocated for it. What is no file - a pipe, a
@@ -36,6 +36,7 @@ mod named;
 mod npy;
 mod npz;
 mod png;
+mod remarks;
 mod shape;
 mod zip;
 
@@ -48,4 +49,5 @@ pub use named::{Array, ArrayFile};
 pub use npy::{NpyFile, npy_bytes, npy_header, npy_numbers};
 pub use npz::{NamedArray, write_npz};
 pub use png::{Png, grey_png_bytes, grey16_png_bytes, png_bytes, write_png};
+pub use remarks::Remarks;
 pub use shape::ANY;

@@ -8,6 +8,7 @@ use image::{DynamicImage, ExtendedColorType, ImageDecoder as _, ImageEncoder as 
 
 use crate::budget::within_budget;
 use crate::error::{Error, Result};
+use crate::remarks::Remarks;
 
 /// Largest side, pixels.
 const MAX_SIDE: u32 = 8192;
@@ -18,9 +19,11 @@ const MAX_ALLOC: u64 = 512 << 20;
 pub struct Png {
     path: PathBuf,
     decoder: PngDecoder<BufReader<std::fs::File>>,
-    /// Columns.
+    /// What the file says of its pixels.
+    pub remarks: Remarks,
+    /// Columns, turned as the file says.
     pub width: u32,
-    /// Rows.
+    /// Rows, turned as the file says.
     pub height: u32,
 }
 
@@ -32,29 +35,34 @@ impl Png {
     pub fn open(path: &Path) -> Result<Self> {
         let file = rogs_files::open(path).map_err(|error| Error::io(path, error))?;
         let length = file.metadata().map_err(|error| Error::io(path, error))?.len();
+        let mut file = BufReader::new(file);
+        let remarks = Remarks::read(&mut file).map_err(|error| Error::io(path, error))?;
         let mut limits = Limits::default();
         limits.max_image_width = Some(MAX_SIDE);
         limits.max_image_height = Some(MAX_SIDE);
         limits.max_alloc = Some(MAX_ALLOC);
-        let decoder =
-            PngDecoder::with_limits(BufReader::new(file), limits).map_err(|error| unreadable(path, &error))?;
-        let (width, height) = decoder.dimensions();
+        let decoder = PngDecoder::with_limits(file, limits).map_err(|error| unreadable(path, &error))?;
+        let (width, height) = remarks.size(decoder.dimensions());
         // The pixels, and a copy in another form.
         within_budget(path, length, decoder.total_bytes().saturating_mul(2), "is it an image?")?;
         Ok(Self {
             path: path.to_owned(),
             decoder,
+            remarks,
             width,
             height,
         })
     }
 
-    /// The pixels, as the file has them.
+    /// The pixels in the form that the file has them in, turned as it says.
     ///
     /// # Errors
     /// When the file is damaged.
     pub fn decode(self) -> Result<DynamicImage> {
-        DynamicImage::from_decoder(self.decoder).map_err(|error| unreadable(&self.path, &error))
+        let decoded = DynamicImage::from_decoder(self.decoder);
+        let mut image = decoded.map_err(|error| unreadable(&self.path, &error))?;
+        self.remarks.turn(&mut image);
+        Ok(image)
     }
 
     /// The pixels of a 16-bit grey image, such as depth in millimetres. `[H, W]`

@@ -52,7 +52,7 @@ fn called(folder: &Path, name: &str) -> Option<PathBuf> {
 fn describes(path: &Path) -> Option<String> {
     const LONGEST: u64 = 64 << 10;
     let mut bytes = Vec::new();
-    std::fs::File::open(path)
+    rogs_files::open(path)
         .ok()?
         .take(LONGEST)
         .read_to_end(&mut bytes)

@@ -55,6 +55,7 @@ pub(crate) fn assemble(
     warnings.extend(checks::odd_states(&source.states, range_is_said));
     let interval = interval(&source, params)?;
     let chosen = choose_cameras(&mut source, params)?;
+    checks::names_apart(source.cameras.iter().map(|camera| camera.id.as_str()))?;
     warnings.extend(wrist_not_first(&source.cameras));
     let decoded: StageResult<Vec<(ClipCamera, Vec<String>)>> = source
         .cameras
@@ -260,9 +261,10 @@ fn make_camera(
                 None => mapping,
                 Some(cached) => Mapping::new(cached.size, (params.width, params.height), params.fit),
             };
-            depth.read(interval.triple(), source.frame_count, size, |map| {
+            let told = depth.read(interval.triple(), source.frame_count, size, |map| {
                 depth_m.extend(mapping.nearest(map))
             })?;
+            warnings.extend(told);
             let range_m = params.depth_range_m.unwrap_or(depth.range_m);
             warnings.extend(depth.check_range(&depth_m, range_m, &camera.id)?);
             Some(DepthReference {

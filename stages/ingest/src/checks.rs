@@ -1,10 +1,11 @@
 //! Checks of values from outside. Each failure is one sentence with file and row.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use rogs_geometry::{Base, Camera, Pose};
 use rogs_schemas::{Intrinsics, RigidPose, WrittenPose};
-use rogs_worker::StageResult;
+use rogs_worker::{StageError, StageResult};
 
 use crate::fault::wrong;
 use crate::source::States;
@@ -212,9 +213,33 @@ pub(crate) fn episode_id(id: &str, path: &Path) -> StageResult<String> {
     Ok(id.to_owned())
 }
 
+/// Fails where two cameras have one name but for capitals: files that are named by camera would be one file on disks that
+/// do not tell capitals.
+pub(crate) fn names_apart<'a>(names: impl Iterator<Item = &'a str>) -> StageResult<()> {
+    let mut taken: BTreeMap<String, &str> = BTreeMap::new();
+    for name in names {
+        if let Some(other) = taken.insert(name.to_lowercase(), name) {
+            let text = format!("the cameras `{other}` and `{name}` differ in capitals alone");
+            return Err(StageError::bad_input(text)
+                .with_hint("rename one, or name them with `cameras` in [ingest]: files are named by camera"));
+        }
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn cameras_that_differ_in_capitals_alone_are_refused() {
+        assert!(names_apart(["wrist", "top", "top_2"].into_iter()).is_ok());
+        for pair in [["top", "Top"], ["ÜBER", "über"], ["a", "a"]] {
+            let error = names_apart(pair.into_iter()).unwrap_err();
+            assert!(error.message.contains("differ in capitals alone"), "{error}");
+            assert!(pair.iter().all(|name| error.message.contains(name)), "{error}");
+        }
+    }
 
     #[test]
     fn poses_that_are_not_rigid_are_refused() {

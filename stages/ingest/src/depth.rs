@@ -6,7 +6,7 @@ use rogs_arrays::{Dtype, FlatExr, NpyFile};
 use rogs_worker::StageResult;
 
 use crate::fault::{unreadable, wrong};
-use crate::images::{numbered, read_grey16};
+use crate::images::{numbered, read_grey16, said};
 use crate::pointworld::read_cached;
 use crate::source::SourceDepth;
 
@@ -18,20 +18,22 @@ const NEAREST_M: f32 = 20.0;
 
 impl SourceDepth {
     /// Hands the depth maps of these episode frames to `take` in order: metres, NaN where unknown. `[h, w]`, of the
-    /// images' size (width, height), or of [`CachedDepth::size`](crate::source::CachedDepth::size).
+    /// images' size (width, height), or of [`CachedDepth::size`](crate::source::CachedDepth::size). Returns what the first
+    /// image that says something of its pixels says.
     pub(crate) fn read(
         &self,
         (first, step, count): (u32, u32, u32),
         frame_count: u32,
         (width, height): (u32, u32),
         mut take: impl FnMut(&[f32]),
-    ) -> StageResult<()> {
+    ) -> StageResult<Option<String>> {
         if self.range_m[0] >= NEAREST_M {
             let what = format!("its `range_m` begins at {} m", self.range_m[0]);
             return Err(wrong(&self.path, what).with_hint("`range_m` is metres; were these millimetres?"));
         }
         if let Some(cached) = &self.cached {
-            return read_cached(&self.path, cached, (first, step, count), take);
+            read_cached(&self.path, cached, (first, step, count), take)?;
+            return Ok(None);
         }
         let (rows, columns) = (height as usize, width as usize);
         let frames = (0..count).map(|index| first + index * step);
@@ -40,21 +42,26 @@ impl SourceDepth {
             for frame in frames {
                 take(&metres(array.entry(frame as usize).map_err(unreadable)?, self.unit_m));
             }
-            return Ok(());
+            return Ok(None);
         }
         if !self.path.is_dir() {
             return Err(wrong(&self.path, "the depth file or folder is missing"));
         }
+        let mut told = None;
         for frame in frames {
             let array = self.path.join(numbered(frame, "npy"));
             let exr = self.path.join(numbered(frame, "exr"));
             if exr.exists() {
-                take(&metres(read_exr(&exr, (width, height))?, self.unit_m));
+                let (values, notes) = read_exr(&exr, (width, height))?;
+                take(&metres(values, self.unit_m));
+                told = told.or_else(|| said(&exr, &notes));
             } else if array.exists() {
                 let mut array = self.open(&array, &[rows, columns])?;
                 take(&metres(array.all().map_err(unreadable)?, self.unit_m));
             } else {
-                let steps = read_grey16(&self.path.join(numbered(frame, "png")), (width, height))?;
+                let png = self.path.join(numbered(frame, "png"));
+                let (steps, notes) = read_grey16(&png, (width, height))?;
+                told = told.or_else(|| said(&png, &notes));
                 // Division by 1000 rounds correctly, multiplication by 0.001 twice.
                 let metre = |&step: &u16| match self.unit_m {
                     Some(unit) => f64::from(step) * unit,
@@ -63,7 +70,7 @@ impl SourceDepth {
                 take(&metres(steps.iter().map(metre).collect(), None));
             }
         }
-        Ok(())
+        Ok(told)
     }
 
     /// Whether some depth of a camera can be scored: in words, for a warning, where all of it lies outside of `near` to
@@ -138,9 +145,9 @@ impl SourceDepth {
     }
 }
 
-/// The depth of an OpenEXR file of the expected size (width, height), metres. `[h, w]`
-fn read_exr(path: &Path, (width, height): (u32, u32)) -> StageResult<Vec<f64>> {
-    let image = FlatExr::open(path).map_err(unreadable)?;
+/// The depth of an OpenEXR file of the expected size (width, height), metres, and what it says of its pixels. `[h, w]`
+fn read_exr(path: &Path, (width, height): (u32, u32)) -> StageResult<(Vec<f64>, Vec<String>)> {
+    let mut image = FlatExr::open(path).map_err(unreadable)?;
     if (image.width, image.height) != (width as usize, height as usize) {
         let what = format!(
             "the image is {}x{}, the episode says {width}x{height}",
@@ -148,15 +155,10 @@ fn read_exr(path: &Path, (width, height): (u32, u32)) -> StageResult<Vec<f64>> {
         );
         return Err(wrong(path, what));
     }
-    if !image.whole {
-        return Err(wrong(
-            path,
-            "data window and display window differ; save the whole image",
-        ));
-    }
     let channel = depth_channel(&image).map_err(|what| wrong(path, what))?;
+    let notes = std::mem::take(&mut image.notes);
     let planes = image.planes(&[channel]).map_err(unreadable)?;
-    Ok(planes.into_iter().flatten().map(f64::from).collect())
+    Ok((planes.into_iter().flatten().map(f64::from).collect(), notes))
 }
 
 /// The position of the depth channel.

@@ -135,30 +135,44 @@ impl FrameSource {
                 })?;
                 let complaint = warning.map(|warning| format!("the decoder complained: {warning}"));
                 let told: Vec<String> = info.notes.iter().cloned().chain(complaint).collect();
-                Ok((!told.is_empty()).then(|| format!("`{}`: {}", path.display(), told.join("; "))))
+                Ok(said(path, &told))
             }
             Self::Files(files) => {
-                for index in 0..count {
-                    let file = files.get((first + index * step) as usize);
-                    let file = file.ok_or_else(|| StageError::internal("a frame beyond those that were listed"))?;
-                    take(&read_rgb(file, size)?);
-                }
-                Ok(None)
+                let file = |index: u32| files.get((first + index * step) as usize).cloned();
+                let chosen: Option<Vec<PathBuf>> = (0..count).map(file).collect();
+                let chosen = chosen.ok_or_else(|| StageError::internal("a frame beyond those that were listed"))?;
+                read_files(chosen.into_iter(), size, take)
             }
             Self::Folder(folder) => {
-                for index in 0..count {
-                    take(&read_rgb(&folder.join(numbered(first + index * step, "png")), size)?);
-                }
-                Ok(None)
+                let files = (0..count).map(|index| folder.join(numbered(first + index * step, "png")));
+                read_files(files, size, take)
             }
             Self::Numbered(folder) => {
-                for index in 0..count {
-                    take(&read_rgb(&folder.join(format!("{}.png", first + index * step)), size)?);
-                }
-                Ok(None)
+                let files = (0..count).map(|index| folder.join(format!("{}.png", first + index * step)));
+                read_files(files, size, take)
             }
         }
     }
+}
+
+/// Hands these images to `take` in order; what the first of them that says something says.
+fn read_files(
+    files: impl Iterator<Item = PathBuf>,
+    size: (u32, u32),
+    mut take: impl FnMut(&[u8]),
+) -> StageResult<Option<String>> {
+    let mut told = None;
+    for file in files {
+        let (pixels, notes) = read_rgb(&file, size)?;
+        take(&pixels);
+        told = told.or_else(|| said(&file, &notes));
+    }
+    Ok(told)
+}
+
+/// What a file says, for a warning.
+pub(crate) fn said(path: &Path, notes: &[String]) -> Option<String> {
+    (!notes.is_empty()).then(|| format!("`{}`: {}", path.display(), notes.join("; ")))
 }
 
 /// Hands these frames of a video, which never descend, to `take` in order.
@@ -277,12 +291,14 @@ fn check_size(path: &Path, found: (u32, u32), expected: (u32, u32)) -> StageResu
     Err(wrong(path, text).with_hint("intrinsics belong to the stated size; correct both"))
 }
 
-/// One 8-bit RGB or grey image of the expected size. `[h, w, 3]`
-fn read_rgb(path: &Path, size: (u32, u32)) -> StageResult<Vec<u8>> {
-    let image = open_png(path, size)?.decode().map_err(unreadable)?;
+/// One 8-bit RGB or grey image of the expected size, and what it says of its pixels. `[h, w, 3]`
+fn read_rgb(path: &Path, size: (u32, u32)) -> StageResult<(Vec<u8>, Vec<String>)> {
+    let mut png = open_png(path, size)?;
+    let notes = std::mem::take(&mut png.remarks.notes);
+    let image = png.decode().map_err(unreadable)?;
     match image.color() {
-        ColorType::Rgb8 | ColorType::L8 => Ok(image.into_rgb8().into_raw()),
-        ColorType::Rgba8 | ColorType::La8 if is_opaque(&image) => Ok(image.into_rgb8().into_raw()),
+        ColorType::Rgb8 | ColorType::L8 => Ok((image.into_rgb8().into_raw(), notes)),
+        ColorType::Rgba8 | ColorType::La8 if is_opaque(&image) => Ok((image.into_rgb8().into_raw(), notes)),
         ColorType::Rgba8 | ColorType::La8 => Err(wrong(path, "the image is partly transparent; save it without alpha")),
         other => Err(wrong(path, format!("pixels are {other:?}, expected 8-bit RGB or grey"))),
     }
@@ -299,14 +315,21 @@ fn is_opaque(image: &DynamicImage) -> bool {
         .all(|&alpha| alpha == 255)
 }
 
-/// A 16-bit grey image of the expected size. `[h, w]`
-pub(crate) fn read_grey16(path: &Path, size: (u32, u32)) -> StageResult<Vec<u16>> {
-    open_png(path, size)?.decode_grey16().map_err(unreadable)
+/// A 16-bit grey image of the expected size, and what it says of its pixels. `[h, w]`
+pub(crate) fn read_grey16(path: &Path, size: (u32, u32)) -> StageResult<(Vec<u16>, Vec<String>)> {
+    let mut png = open_png(path, size)?;
+    let notes = std::mem::take(&mut png.remarks.notes);
+    Ok((png.decode_grey16().map_err(unreadable)?, notes))
 }
 
 fn open_png(path: &Path, size: (u32, u32)) -> StageResult<Png> {
     let png = Png::open(path).map_err(unreadable)?;
-    check_size(path, (png.width, png.height), size)?;
+    check_size(path, (png.width, png.height), size).map_err(|error| match png.remarks.notes.first() {
+        Some(note) => error.with_hint(format!(
+            "{note}; the episode's width and height are those of such images"
+        )),
+        None => error,
+    })?;
     Ok(png)
 }
 

@@ -37,6 +37,8 @@ use rogs_schemas::records::clip::Clip;
 use rogs_schemas::shown;
 use rogs_worker::{Context, Stage, StageError, StageResult};
 
+#[doc(hidden)]
+pub use crate::layouts::droid::look_up_published;
 pub use crate::params::{DroidParams, IdleSteps, Quality};
 pub use listing::{EpisodeListing, count_frames, list_episodes};
 pub use media::{MediaReport, media_report};

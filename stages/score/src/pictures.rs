@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use image::ImageDecoder as _;
-use rogs_arrays::{Array, ArrayFile, FlatExr, Problem, Values, within_budget};
+use rogs_arrays::{Array, ArrayFile, FlatExr, Problem, Remarks, Values, within_budget};
 
 use crate::metrics::Pixels;
 
@@ -26,12 +26,14 @@ pub struct Picture {
     pub width: usize,
     /// Its values.
     pub content: Content,
-    /// What was taken for granted of it and a person should know.
-    pub note: Option<&'static str>,
+    /// What was taken for granted of it, or it says itself, and a person should know.
+    pub notes: Vec<String>,
 }
 
 /// Metres of one step of 16-bit grey pixels, unless somebody says otherwise: millimetres, as ingest has them.
 const PNG_STEP_M: f64 = 0.001;
+/// What is said of them then.
+const MILLIMETRES: &str = "16-bit grey pixels are taken as depth in millimetres";
 
 /// Values of a picture.
 #[derive(Debug, Clone, PartialEq)]
@@ -107,8 +109,8 @@ impl PictureError {
 
 /// Reads all pictures of a file, in the order of their names.
 ///
-/// PNG and JPEG files hold colours (16-bit ones keep their precision, an alpha channel is not looked at); 16-bit grey PNG
-/// is depth in millimetres. OpenEXR files hold colours (channels R, G and B, taken as they are) or depth in metres (channel
+/// PNG and JPEG files hold colours (16-bit ones keep their precision, an alpha channel is not looked at), turned as their
+/// Exif data say; 16-bit grey PNG is depth in millimetres. OpenEXR files hold colours (channels R, G and B, taken as they are) or depth in metres (channel
 /// Z, or the only one). In `.npy`, `.npz` and `.safetensors` files every array is taken: `[H, W, 3]` and `[T, H, W, 3]` are
 /// colours, `[H, W]` and `[T, H, W]` (perhaps with a last axis of 1) depth in metres, and an array called `depth...` is depth
 /// in any case; lists of numbers are passed over. `unit_m` are the metres of one step of depth where they are others.
@@ -148,9 +150,12 @@ fn read_image(path: &Path, unit_m: Option<f64>) -> Result<Picture, PictureError>
     };
     let file = rogs_files::open(path).map_err(read)?;
     let length = file.metadata().map_err(read)?.len();
-    let mut reader = image::ImageReader::new(std::io::BufReader::new(file))
-        .with_guessed_format()
-        .map_err(read)?;
+    let mut file = std::io::BufReader::new(file);
+    let remarks = Remarks::read(&mut file).map_err(read)?;
+    if let Some(fault) = remarks.fault {
+        return Err(PictureError::wrong(path, fault));
+    }
+    let mut reader = image::ImageReader::new(file).with_guessed_format().map_err(read)?;
     let progressive = if reader.format() == Some(image::ImageFormat::Jpeg) {
         6
     } else {
@@ -176,7 +181,8 @@ fn read_image(path: &Path, unit_m: Option<f64>) -> Result<Picture, PictureError>
     let a_pixel = u64::from(bytes) + own + progressive;
     let needed = (u64::from(width) * u64::from(height)).saturating_mul(a_pixel);
     within_budget(path, length, needed, "is it an image?")?;
-    let image = image::DynamicImage::from_decoder(decoder).map_err(unreadable)?;
+    let mut image = image::DynamicImage::from_decoder(decoder).map_err(unreadable)?;
+    remarks.turn(&mut image);
     let (height, width) = (image.height() as usize, image.width() as usize);
     let channels = usize::from(image.color().channel_count()).max(1);
     if let image::DynamicImage::ImageLuma16(steps) = image {
@@ -190,9 +196,11 @@ fn read_image(path: &Path, unit_m: Option<f64>) -> Result<Picture, PictureError>
             height,
             width,
             content: Content::Depth(depth_m.collect()),
-            note: unit_m
-                .is_none()
-                .then_some("16-bit grey pixels are taken as depth in millimetres"),
+            notes: remarks
+                .notes
+                .into_iter()
+                .chain(unit_m.is_none().then(|| MILLIMETRES.to_owned()))
+                .collect(),
         });
     }
     let content = if usize::from(image.color().bytes_per_pixel()) == channels {
@@ -205,12 +213,13 @@ fn read_image(path: &Path, unit_m: Option<f64>) -> Result<Picture, PictureError>
         height,
         width,
         content,
-        note: None,
+        notes: remarks.notes,
     })
 }
 
 fn read_exr(path: &Path) -> Result<Picture, PictureError> {
-    let image = FlatExr::open(path)?;
+    let mut image = FlatExr::open(path)?;
+    let notes = std::mem::take(&mut image.notes);
     let (height, width) = (image.height, image.width);
     let chosen = channels(&image).map_err(|what| PictureError::wrong(path, what))?;
     let planes = image.planes(&chosen)?;
@@ -226,7 +235,7 @@ fn read_exr(path: &Path) -> Result<Picture, PictureError> {
         height,
         width,
         content,
-        note: None,
+        notes,
     })
 }
 
@@ -300,7 +309,7 @@ fn split(array: Array) -> Result<Vec<Picture>, String> {
         height,
         width,
         content,
-        note: None,
+        notes: Vec::new(),
     };
     Ok(contents.into_iter().enumerate().map(picture).collect())
 }

@@ -322,3 +322,38 @@ fn bytes_that_were_colours_in_0_to_1_are_told() {
         scores.pairs[0].notes
     );
 }
+
+/// A photograph that its Exif data turn is compared as viewers show it, and that is told; what else images say, too.
+#[test]
+fn images_are_compared_as_they_say_they_lie() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    let turned = place("turned.jpg");
+    let stored = image::imageops::rotate270(&picture(0));
+    stored.save(&turned).unwrap();
+    picture(0).save(place("upright.png")).unwrap();
+    // Orientation 6 behind the head: to be turned by a quarter with the clock.
+    let mut bytes = std::fs::read(&turned).unwrap();
+    let mut exif = b"\xff\xe1\0\x22Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0".to_vec();
+    let length = exif.len() as u8 - 2;
+    exif[3] = length;
+    bytes.splice(2..2, exif);
+    std::fs::write(&turned, bytes).unwrap();
+    let scores = |own: &str| {
+        let variant = SsimVariant::Torchmetrics;
+        score_paths(&place(own), &place("upright.png"), variant, None, [None; 2])
+    };
+    let told = scores("turned.jpg").unwrap();
+    assert!(told.psnr.unwrap() > 25.0, "{told:?}");
+    assert!(
+        told.pairs[0].notes.concat().contains("prediction: its Exif data"),
+        "{told:?}"
+    );
+    // Four components: the colours of a printer.
+    let mut bytes = std::fs::read(place("turned.jpg")).unwrap();
+    let frame = bytes.windows(2).position(|pair| pair == [0xff, 0xc0]).unwrap();
+    bytes[frame + 9] = 4;
+    std::fs::write(place("printer.jpg"), bytes).unwrap();
+    let error = scores("printer.jpg").unwrap_err();
+    assert!(error.to_string().contains("those of printers"), "{error}");
+}

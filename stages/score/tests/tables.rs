@@ -163,6 +163,24 @@ fn means_coverage_and_footnotes_of_the_main_table() {
 }
 
 #[test]
+fn fields_that_are_not_finite_are_said_below_the_table() {
+    let (mut sheets, timings) = run();
+    let of_som = sheets.iter_mut().filter(|sheet| sheet.method == "som");
+    for (sheet, count) in of_som.zip([0, 7, 900]) {
+        sheet.invalid_gaussians = count;
+    }
+    let main = make(TableId::Main, &sheets, &timings, TableOptions::default());
+    let note = main.footnotes.iter().find(|note| note.starts_with("NOT FINITE")).unwrap();
+    assert_eq!(
+        note,
+        &format!(
+            "NOT FINITE: SoM (up to 900 of a clip, in 2 of {} clips); such Gaussians are scored as if they were not there",
+            2 * (CLIPS - 3)
+        )
+    );
+}
+
+#[test]
 fn intervals_are_those_of_the_bootstrap() {
     let (sheets, _) = run();
     let ci = make(TableId::Ci, &sheets, &[], TableOptions::default());

@@ -8,7 +8,7 @@ mod place;
 use std::path::Path;
 
 use libfuzzer_sys::fuzz_target;
-use rogs_arrays::{ANY, ArrayFile, NpyFile, Png};
+use rogs_arrays::{ANY, ArrayFile, NpyFile, Png, Remarks};
 
 fuzz_target!(|bytes: &[u8]| {
     let folder = place::folder();
@@ -27,6 +27,9 @@ fuzz_target!(|bytes: &[u8]| {
     {
         let _ = png.decode_grey16();
     }
+    let remarks = Remarks::read(&mut std::io::Cursor::new(bytes)).expect("nothing but memory is read");
+    let (width, height) = remarks.size((3, 2));
+    assert_eq!(width * height, 6);
 });
 
 fn read_npy(path: &Path) {

@@ -26,7 +26,9 @@ impl Hdf5File {
     /// # Errors
     /// When it cannot be read, is no HDF5 file or is cut off.
     pub fn open(path: &Path) -> Result<Self> {
-        let length = std::fs::metadata(path).map_err(|error| Error::io(path, error))?.len();
+        // The reader opens the file itself: here only regular files come to it.
+        let file = rogs_files::open(path).map_err(|error| Error::io(path, error))?;
+        let length = file.metadata().map_err(|error| Error::io(path, error))?.len();
         Self::opened(
             path,
             length,

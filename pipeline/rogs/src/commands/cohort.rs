@@ -146,7 +146,7 @@ fn record(facts: EpisodeFacts) -> EpisodeRecord {
 
 /// Marks the episodes that a list of ids names.
 fn mark_excluded(episodes: &mut [EpisodeRecord], path: &Path) -> anyhow::Result<()> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("reading `{}`", path.display()))?;
+    let text = rogs_files::read_to_string(path).with_context(|| format!("reading `{}`", path.display()))?;
     let ids: BTreeSet<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
     for episode in episodes {
         episode.train_or_val |= ids.contains(episode.episode_id.as_str());
@@ -156,7 +156,7 @@ fn mark_excluded(episodes: &mut [EpisodeRecord], path: &Path) -> anyhow::Result<
 
 /// Writes a selection; a file that holds another one stays as it is, unless `force` says otherwise.
 fn write(selection: &Selection, path: &Path, force: bool) -> anyhow::Result<()> {
-    if let (Ok(text), false) = (std::fs::read(path), force) {
+    if let (Ok(text), false) = (rogs_files::read(path), force) {
         let differ = match serde_json::from_slice::<Selection>(&text) {
             Ok(old) => differences(&old, selection),
             Err(_) => vec!["it holds something else".to_owned()],

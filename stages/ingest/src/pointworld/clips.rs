@@ -2,7 +2,6 @@
 //! have the key `UUID-START:END` and the same arrays as members `camera_SERIAL_ext_NAME.npy` and `NAME.npy`.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
 
@@ -205,7 +204,7 @@ impl Clips {
             return Err(bad(format!("{length} bytes are too many")));
         }
         let io = |error: std::io::Error| io_error(&self.path, &error);
-        let mut file = File::open(&self.path).map_err(io)?;
+        let mut file = rogs_files::open(&self.path).map_err(io)?;
         file.seek(SeekFrom::Start(offset)).map_err(io)?;
         let mut bytes = Vec::new();
         file.take(length).read_to_end(&mut bytes).map_err(io)?;

@@ -1,7 +1,6 @@
 //! Tar archives: where their files lie. Only headers are read, so that a shard of a gigabyte costs as many reads as it
 //! has files.
 
-use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::Path;
 
@@ -30,7 +29,7 @@ pub(super) struct TarFile {
 /// The files of an archive, in their order.
 pub(super) fn index(path: &Path) -> StageResult<Vec<TarFile>> {
     let io = |error: std::io::Error| io_error(path, &error);
-    let mut file = File::open(path).map_err(io)?;
+    let mut file = rogs_files::open(path).map_err(io)?;
     let end = file.metadata().map_err(io)?.len();
     let (mut files, mut at, mut named) = (Vec::new(), 0, None);
     loop {

@@ -115,7 +115,9 @@ pub(super) fn score_pair(
     for (side, picture) in [("prediction", own), ("reference", other)] {
         scores.notes.extend(clipped(side, picture));
         scores.notes.extend(dark(side, picture));
-        scores.notes.extend(picture.note.map(|note| format!("{side}: {note}")));
+        scores
+            .notes
+            .extend(picture.notes.iter().map(|note| format!("{side}: {note}")));
     }
     Ok(scores)
 }

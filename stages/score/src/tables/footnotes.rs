@@ -57,6 +57,7 @@ pub(crate) fn of(
     if has("AbsRel") || has("RMSE") || has("delta1") {
         notes.extend(without_support(&all));
     }
+    notes.extend(undefined(rows, &sheets));
     let depth = ["AbsRel", "RMSE", "delta1", "robot depth"].into_iter().any(has);
     let kinds = [(ReferenceKind::Depth, depth), (ReferenceKind::Tracks, has("EPE"))];
     let kinds = kinds.into_iter().filter_map(|(kind, shown)| shown.then_some(kind));
@@ -117,6 +118,23 @@ fn coverage(rows: &[Row]) -> Vec<String> {
 fn without_support(sheets: &[&ScoreSheet]) -> Option<String> {
     let empty: u64 = sheets.iter().map(|sheet| u64::from(sheet.n_empty_support)).sum();
     (empty > 0).then(|| format!("{empty} images have reference depth but none of it in range; they are left out"))
+}
+
+/// Names the rows whose fields have Gaussians that are not finite.
+fn undefined<'a>(rows: &[Row], sheets: impl Fn(&str) -> Vec<&'a ScoreSheet>) -> Option<String> {
+    let told = |row: &Row| {
+        let own = sheets(&row.method);
+        let with: Vec<u64> = own.iter().map(|sheet| sheet.invalid_gaussians).filter(|count| *count > 0).collect();
+        let most = with.iter().max()?;
+        Some(format!("{} (up to {most} of a clip, in {} of {} clips)", row.label, with.len(), own.len()))
+    };
+    let told: BTreeSet<String> = rows.iter().filter_map(told).collect();
+    (!told.is_empty()).then(|| {
+        format!(
+            "NOT FINITE: {}; such Gaussians are scored as if they were not there",
+            told.into_iter().collect::<Vec<_>>().join(", ")
+        )
+    })
 }
 
 /// Whether the memory of a method is that of its process, in some setting.

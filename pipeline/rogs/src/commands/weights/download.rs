@@ -329,7 +329,7 @@ impl std::fmt::Display for Expected {
 /// SHA-256 of a file in hexadecimal digits.
 pub(super) fn hash(path: &Path) -> anyhow::Result<String> {
     let reading = || format!("reading `{}`", path.display());
-    let mut file = File::open(path).with_context(reading)?;
+    let mut file = rogs_files::open(path).with_context(reading)?;
     let (mut hasher, mut buffer) = (Sha256::new(), vec![0; 1 << 18]);
     loop {
         let count = file.read(&mut buffer).with_context(reading)?;

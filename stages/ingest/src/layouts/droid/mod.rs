@@ -19,6 +19,7 @@ use std::path::Path;
 use rogs_geometry::{Base, Link, Pose};
 use rogs_worker::{StageError, StageResult};
 
+pub use self::published::look_up_published;
 pub(crate) use self::refused::refusal;
 pub(crate) use self::tree::{episodes, is_episode};
 

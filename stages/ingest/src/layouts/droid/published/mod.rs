@@ -60,6 +60,30 @@ impl Calibrations {
     }
 }
 
+/// Looks an episode up in every file of a folder of published calibrations, by a uuid and the serial of a camera. Ingest
+/// does so for the cameras whose videos are there; this is for the fuzz target, which has none.
+///
+/// # Errors
+/// When a file is no table, or its entry of the episode is wrong.
+pub fn look_up_published(folder: &Path, uuid: &str, serial: &str) -> StageResult<()> {
+    let published = Published::open(folder)?;
+    let asked = BTreeMap::new();
+    let place = format!("LAB/success/2023-07-07/{uuid}");
+    // One wrong file does not keep the others from being read.
+    let all = [
+        published.uuid_of(folder).map(drop),
+        published.serials(uuid).map(drop),
+        published.pose(uuid, serial, &asked).map(drop),
+        published.only_between_cameras(uuid, serial).map(drop),
+        published.kept(Some(&place)).map(drop),
+        published.intrinsics(uuid, serial).map(drop),
+        published.factory(serial).map(drop),
+        published.hand_eye(Some(serial), serial).map(drop),
+        published.task(uuid).map(drop),
+    ];
+    all.into_iter().collect()
+}
+
 /// A folder of calibrations.
 #[derive(Debug)]
 pub(super) struct Published {

@@ -1,7 +1,6 @@
 //! A folder of tables by episode or serial: JSON files, some of them large, of which one entry at a time is kept.
 
 use std::fmt;
-use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
@@ -42,7 +41,7 @@ impl Tables {
     /// The first entry of a file that is wanted; nothing else of it is kept.
     pub(super) fn find(&self, name: &str, wanted: Wanted<'_>) -> StageResult<Option<(String, Value)>> {
         let path = self.path(name);
-        let file = match File::open(&path) {
+        let file = match rogs_files::open(&path) {
             Ok(file) => file,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(io_error(&path, &error)),
