@@ -169,7 +169,7 @@ impl Found {
                 self.density = Some((of(*x, *xx), of(*y, *yy)));
             }
             (0xe1, [b'E', b'x', b'i', b'f', 0, 0, exif @ ..]) => self.orientation = Orientation::from_exif_chunk(exif),
-            (0xe2, [rest @ ..]) => {
+            (0xe2, rest) => {
                 if let Some(profile) = rest.strip_prefix(b"ICC_PROFILE\0") {
                     self.profile |= profile.first() == Some(&1) && !is_srgb(profile);
                 }

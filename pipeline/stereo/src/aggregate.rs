@@ -110,6 +110,22 @@ fn over_rows(image: &Grey, costs: &[u8], sums: &mut [i16], stride: usize, penalt
                             .zip(least_here.chunks_exact_mut(DIRECTIONS))
                             .zip(sums.chunks_exact_mut(stride).zip(costs.chunks_exact(stride)));
                         for (column, ((here, least_here), (sums, costs))) in pieces_at(piece).zip(pixels) {
+                            if let Some(last) = last.filter(|_| column > 0 && column + 1 < width) {
+                                // All three at once: costs and sums are fetched once.
+                                let from = column - 1;
+                                let before = &before[from * place..][..DIRECTIONS * place];
+                                let own = stride + 2;
+                                let paths = [0, 1, 2].map(|direction| Path {
+                                    before: &before[direction * place + direction * own..][..own],
+                                    least: least_before[(from + direction) * DIRECTIONS + direction],
+                                    large: penalties.large(grey[column], last[from + direction]),
+                                });
+                                let (first, rest) = here.split_at_mut(own);
+                                let (second, third) = rest.split_at_mut(own);
+                                let least = advance_all(costs, paths, penalties.small, first, second, third, sums);
+                                least_here.copy_from_slice(&least);
+                                continue;
+                            }
                             for direction in 0..DIRECTIONS {
                                 let here = &mut here[direction * (stride + 2)..][..stride + 2];
                                 // Column 0 has no column to its left: it wraps beyond the width.
@@ -132,6 +148,17 @@ fn over_rows(image: &Grey, costs: &[u8], sums: &mut [i16], stride: usize, penalt
         std::mem::swap(&mut before, &mut here);
         std::mem::swap(&mut least_before, &mut least_here);
     }
+}
+
+/// What a path brings to its next pixel.
+#[derive(Clone, Copy)]
+struct Path<'a> {
+    /// Its values at the pixel before.
+    before: &'a [i16],
+    /// The least of them.
+    least: i16,
+    /// The penalty of a large step from there.
+    large: i16,
 }
 
 /// The columns of a piece.
@@ -176,6 +203,38 @@ fn advance(
         here[at] = value;
         sums[at] += value;
         least = least.min(value);
+    }
+    least
+}
+
+/// [`advance`] of three paths at once.
+#[inline(always)]
+fn advance_all(
+    costs: &[u8],
+    paths: [Path<'_>; DIRECTIONS],
+    small: i16,
+    first: &mut [i16],
+    second: &mut [i16],
+    third: &mut [i16],
+    sums: &mut [i16],
+) -> [i16; DIRECTIONS] {
+    let count = costs.len();
+    let [a, b, c] = paths;
+    let (a_lower, a_same, a_upper) = (&a.before[..count], &a.before[1..=count], &a.before[2..count + 2]);
+    let (b_lower, b_same, b_upper) = (&b.before[..count], &b.before[1..=count], &b.before[2..count + 2]);
+    let (c_lower, c_same, c_upper) = (&c.before[..count], &c.before[1..=count], &c.before[2..count + 2]);
+    let (first, second, third) = (&mut first[1..=count], &mut second[1..=count], &mut third[1..=count]);
+    let sums = &mut sums[..count];
+    let jumps = [a, b, c].map(|path| path.least + path.large);
+    let mut least = [NEVER; DIRECTIONS];
+    for at in 0..count {
+        let cost = i16::from(costs[at]);
+        let one = cost + a_same[at].min(a_lower[at].min(a_upper[at]) + small).min(jumps[0]) - a.least;
+        let two = cost + b_same[at].min(b_lower[at].min(b_upper[at]) + small).min(jumps[1]) - b.least;
+        let three = cost + c_same[at].min(c_lower[at].min(c_upper[at]) + small).min(jumps[2]) - c.least;
+        (first[at], second[at], third[at]) = (one, two, three);
+        sums[at] += one + two + three;
+        least = [least[0].min(one), least[1].min(two), least[2].min(three)];
     }
     least
 }

@@ -89,7 +89,7 @@ fn right_row(sums: &[i16], range: Range, params: &MatcherParams, right: &mut [f3
 #[inline(always)]
 fn winner(sums: &[i16], scratch: &mut [i16], uniqueness: i32) -> Option<usize> {
     let least = sums.iter().fold(i16::MAX, |least, &sum| least.min(sum));
-    let place = sums.iter().position(|&sum| sum == least)?;
+    let place = first(sums, least)?;
     if place == 0 || place + 1 >= sums.len() {
         return None;
     }
@@ -97,6 +97,17 @@ fn winner(sums: &[i16], scratch: &mut [i16], uniqueness: i32) -> Option<usize> {
     scratch[place - 1..=place + 1].fill(i16::MAX);
     let second = scratch.iter().fold(i16::MAX, |least, &sum| least.min(sum));
     (i32::from(second) * (100 - uniqueness) > i32::from(least) * 100).then_some(place)
+}
+
+/// The first place of a value. Vectors are compared at once, so that the branch comes once a vector.
+#[inline(always)]
+fn first(sums: &[i16], value: i16) -> Option<usize> {
+    const VECTOR: usize = 32;
+    let has = |part: &[i16]| part.iter().fold(0, |found, &sum| found | i16::from(sum == value)) != 0;
+    let (parts, rest) = sums.as_chunks::<VECTOR>();
+    let part = parts.iter().position(|part| has(part));
+    let (begin, part) = part.map_or((sums.len() - rest.len(), rest), |part| (part * VECTOR, &parts[part]));
+    Some(begin + part.iter().position(|&sum| sum == value)?)
 }
 
 /// By how many bits the cost at a place lies below the mean of those around it.
@@ -123,6 +134,18 @@ mod tests {
         assert_eq!(winner(&[9, 9, 1, 9, 9, 1], &mut scratch, 5), None);
         assert_eq!(winner(&[9, 9, 2, 9, 9, 9], &mut scratch, 5), Some(2));
         assert_eq!(winner(&[], &mut [], 5), None);
+    }
+
+    #[test]
+    fn the_first_place_of_a_value_is_found_in_and_behind_vectors() {
+        for count in [1, 31, 32, 33, 70] {
+            for place in 0..count {
+                let mut sums = vec![5; count];
+                sums[place..].fill(2);
+                assert_eq!(first(&sums, 2), Some(place), "of {count}");
+            }
+        }
+        assert_eq!(first(&[5; 70], 2), None);
     }
 
     #[test]

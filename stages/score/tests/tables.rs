@@ -170,7 +170,11 @@ fn fields_that_are_not_finite_are_said_below_the_table() {
         sheet.invalid_gaussians = count;
     }
     let main = make(TableId::Main, &sheets, &timings, TableOptions::default());
-    let note = main.footnotes.iter().find(|note| note.starts_with("NOT FINITE")).unwrap();
+    let note = main
+        .footnotes
+        .iter()
+        .find(|note| note.starts_with("NOT FINITE"))
+        .unwrap();
     assert_eq!(
         note,
         &format!(

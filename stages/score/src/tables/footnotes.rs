@@ -57,7 +57,7 @@ pub(crate) fn of(
     if has("AbsRel") || has("RMSE") || has("delta1") {
         notes.extend(without_support(&all));
     }
-    notes.extend(undefined(rows, &sheets));
+    notes.extend(undefined(rows, sheets));
     let depth = ["AbsRel", "RMSE", "delta1", "robot depth"].into_iter().any(has);
     let kinds = [(ReferenceKind::Depth, depth), (ReferenceKind::Tracks, has("EPE"))];
     let kinds = kinds.into_iter().filter_map(|(kind, shown)| shown.then_some(kind));
@@ -124,9 +124,18 @@ fn without_support(sheets: &[&ScoreSheet]) -> Option<String> {
 fn undefined<'a>(rows: &[Row], sheets: impl Fn(&str) -> Vec<&'a ScoreSheet>) -> Option<String> {
     let told = |row: &Row| {
         let own = sheets(&row.method);
-        let with: Vec<u64> = own.iter().map(|sheet| sheet.invalid_gaussians).filter(|count| *count > 0).collect();
+        let with: Vec<u64> = own
+            .iter()
+            .map(|sheet| sheet.invalid_gaussians)
+            .filter(|count| *count > 0)
+            .collect();
         let most = with.iter().max()?;
-        Some(format!("{} (up to {most} of a clip, in {} of {} clips)", row.label, with.len(), own.len()))
+        Some(format!(
+            "{} (up to {most} of a clip, in {} of {} clips)",
+            row.label,
+            with.len(),
+            own.len()
+        ))
     };
     let told: BTreeSet<String> = rows.iter().filter_map(told).collect();
     (!told.is_empty()).then(|| {
