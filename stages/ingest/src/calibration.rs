@@ -77,6 +77,9 @@ impl Calibration {
                     "rectify images and intrinsics first (e.g. `cv2.undistort`); remove the entry where they are rectified",
                 ));
             }
+            if let Some((key, what, hint)) = rest.iter().find_map(|(key, value)| contradicts(key, value)) {
+                return Err(wrong(path, format!("{place} says by `{key}` that {what}")).with_hint(hint));
+            }
         }
         Ok(Self {
             path: path.to_owned(),
@@ -213,6 +216,64 @@ fn distortion(rest: &Map<String, Value>) -> Option<&str> {
     rest.iter().find(found).map(|(name, _)| name.as_str())
 }
 
+/// What an entry says against how the file is read: the entry, that, and what to do. Other entries that are not read (names
+/// of models, dates, errors, serials) say nothing about what the numbers mean.
+fn contradicts<'a>(key: &'a str, value: &Value) -> Option<(&'a str, String, &'static str)> {
+    /// How words begin that name lenses which are no pinholes.
+    const LENSES: [&str; 9] = [
+        "fisheye",
+        "equidistant",
+        "kannala",
+        "omnidir",
+        "mei",
+        "sphere",
+        "spherical",
+        "eucm",
+        "equirect",
+    ];
+    const AXES: [&str; 5] = ["opengl", "blender", "nerf", "unity", "unreal"];
+    const METRES: [&str; 5] = ["m", "meter", "meters", "metre", "metres"];
+    let name = key.to_lowercase();
+    let word = value.as_str().map(|word| word.trim().to_lowercase());
+    let says = |words: &[&str]| {
+        word.as_ref()
+            .is_some_and(|word| words.iter().any(|part| word.contains(part)))
+    };
+    let shown = || word.as_deref().unwrap_or_default().to_owned();
+    let is = |names: &[&str]| names.contains(&name.as_str());
+    if (name.contains("model") || is(&["lens", "projection", "camera_type"])) && says(&LENSES) {
+        let what = format!("its lens is `{}`, and images are taken as those of a pinhole", shown());
+        return Some((key, what, "undistort images and intrinsics to a pinhole first"));
+    }
+    if is(&["rectified", "is_rectified", "undistorted"]) && value.as_bool() == Some(false) {
+        return Some((
+            key,
+            "its images are not rectified".to_owned(),
+            "rectify images and intrinsics first",
+        ));
+    }
+    if is(&["unit", "units", "length_unit", "translation_unit", "translation_units"])
+        && word.as_ref().is_some_and(|word| !METRES.contains(&word.as_str()))
+    {
+        let what = format!("its lengths are in `{}`, and poses are read in metres", shown());
+        return Some((key, what, "write translations in metres"));
+    }
+    if (name.contains("convention") || is(&["coordinate_system", "axes", "camera_axes"])) && says(&AXES) {
+        let what = format!("its axes are those of `{}`", shown());
+        let hint =
+            "cameras look along +z, with x to the right and y down: turn poses by diag(1, -1, -1) from the right";
+        return Some((key, what, hint));
+    }
+    if name == "skew" && value.as_f64().is_some_and(|skew| skew != 0.0) {
+        return Some((
+            key,
+            "its pixels are skewed".to_owned(),
+            "rectify images and intrinsics first",
+        ));
+    }
+    None
+}
+
 /// A pose in any form.
 fn pose_of(value: &Value, what: &str, path: &Path) -> StageResult<RigidPose> {
     let written = WrittenPose::from_json(value)
@@ -272,6 +333,33 @@ mod tests {
             }
         }
         assert!(read("\"note\": [1, 2], \"serial\": 7", "\"rms\": 0.3,").is_ok());
+    }
+
+    #[test]
+    fn what_a_file_says_against_how_it_is_read_is_refused() {
+        for (entry, refused) in [
+            ("\"camera_model\": \"KANNALA_BRANDT8\"", "pinhole"),
+            ("\"distortion_model\": \"equidistant\"", "pinhole"),
+            ("\"camera_model\": \"OPENCV_FISHEYE\"", "pinhole"),
+            ("\"camera_model\": \"OmniVision OV9782\"", ""),
+            ("\"model\": \"PINHOLE\"", ""),
+            ("\"distortion_model\": \"plumb_bob\"", ""),
+            ("\"rectified\": false", "not rectified"),
+            ("\"rectified\": true", ""),
+            ("\"units\": \"mm\"", "in `mm`"),
+            ("\"units\": \"Meters\"", ""),
+            ("\"convention\": \"OpenGL\"", "axes are those of `opengl`"),
+            ("\"convention\": \"opencv\"", ""),
+            ("\"skew\": 0.3", "skewed"),
+            ("\"skew\": 0.0", ""),
+            ("\"note\": \"fisheye mounts\"", ""),
+        ] {
+            for read in [read(entry, ""), read("\"status\": \"\"", &format!("{entry},"))] {
+                let said = read.err().unwrap_or_default();
+                assert_eq!(said.is_empty(), refused.is_empty(), "{entry}: {said}");
+                assert!(said.contains(refused), "{entry}: {said}");
+            }
+        }
     }
 
     #[test]

@@ -28,6 +28,10 @@ pub(crate) fn open(root: &Path, calibration: Option<&Calibration>, params: &Para
     let states = rows.states(&dataset, &params.states)?;
     let names = camera_names(&dataset, params)?;
     let (mut cameras, mut warnings) = (Vec::new(), Vec::new());
+    if params.cameras.is_empty() {
+        let left_out = dataset.depth_videos().into_iter();
+        warnings.extend(left_out.map(|key| format!("the video `{key}` holds depth maps: it is left out")));
+    }
     for (id, key) in names {
         let camera = open_camera(&dataset, episode, &rows, calibration, (&id, &key), &mut warnings)?;
         cameras.push(camera);
@@ -109,7 +113,16 @@ fn camera_names(dataset: &Dataset, params: &Params) -> StageResult<Vec<(String, 
     let last = |key: &&str| key.rsplit('.').next().unwrap_or_default().to_owned();
     let short: Vec<String> = videos.iter().map(last).collect();
     let known: Vec<&str> = videos.iter().copied().chain(short.iter().map(String::as_str)).collect();
-    if let Some(unknown) = unknown(params.cameras.iter().map(|choice| choice.from.as_str()), &known) {
+    let depth = dataset.depth_videos();
+    let asked = params.cameras.iter().map(|choice| choice.from.as_str());
+    if let Some(depth) = asked
+        .clone()
+        .find(|from| depth.iter().any(|key| key == from || last(key) == *from))
+    {
+        let text = format!("the video `{depth}` holds depth maps, as `info.json` says: it is no camera's images");
+        return Err(StageError::bad_params(text).with_hint(format!("there are {}", videos.join(", "))));
+    }
+    if let Some(unknown) = unknown(asked, &known) {
         let text = format!("there is no video feature {unknown}, there are {}", videos.join(", "));
         return Err(StageError::bad_params(text).with_hint("`from` in `cameras` under [ingest] names them"));
     }
@@ -136,6 +149,9 @@ fn open_camera(
     let path = inside(&dataset.root, file, &info_path)?;
     let mut info = video::probe(&path)?;
     info.notes.extend(info.other_rate(dataset.info.fps));
+    let announced = dataset.info.features.get(key);
+    let other_size = announced.and_then(|feature| feature.other_size((info.width, info.height)));
+    info.notes.extend(other_size);
     let size = (info.width, info.height);
     let first = first_frame(dataset, episode, (key, *from), (&path, info.frames), warnings)?;
     let fits = match dataset.version {

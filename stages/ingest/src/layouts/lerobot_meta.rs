@@ -55,12 +55,35 @@ pub(crate) struct Feature {
     names: serde_json::Value,
     #[serde(default)]
     shape: Vec<u64>,
+    /// What older and newer writers say of a video.
+    #[serde(default, alias = "video_info")]
+    info: serde_json::Value,
 }
 
 /// More entries than this are no state.
 const MOST_ENTRIES: u64 = 4096;
 
 impl Feature {
+    /// Whether a video holds depth instead of colours.
+    pub(crate) fn is_depth(&self) -> bool {
+        let says = |key: &str| self.info.get(key).and_then(serde_json::Value::as_bool) == Some(true);
+        says("video.is_depth_map") || says("is_depth_map")
+    }
+
+    /// What to say of a video of another size than is announced.
+    pub(crate) fn other_size(&self, (width, height): (u32, u32)) -> Option<String> {
+        let announced = [width, height]
+            .iter()
+            .all(|&side| self.shape.contains(&u64::from(side)));
+        (self.shape.len() == 3 && !announced).then(|| {
+            format!(
+                "`info.json` announces images of the shape {:?}, the video has {width}x{height}: intrinsics must be those \
+                 of the video",
+                self.shape
+            )
+        })
+    }
+
     /// Names of its entries, flattened from however they are nested; their numbers where there is not one for each.
     pub(crate) fn entry_names(&self) -> Vec<String> {
         fn flatten(value: &serde_json::Value, out: &mut Vec<String>) {
@@ -144,13 +167,20 @@ impl Dataset {
         })
     }
 
-    /// Names of the features that are videos.
+    /// Names of the features that are videos of colours.
     pub(crate) fn videos(&self) -> Vec<&str> {
-        let is_video = |(_, feature): &(&String, &Feature)| feature.dtype == "video";
-        self.info
-            .features
-            .iter()
-            .filter(is_video)
+        self.videos_where(|feature| !feature.is_depth())
+    }
+
+    /// Names of the features that are videos of depth.
+    pub(crate) fn depth_videos(&self) -> Vec<&str> {
+        self.videos_where(Feature::is_depth)
+    }
+
+    fn videos_where(&self, is_meant: impl Fn(&Feature) -> bool) -> Vec<&str> {
+        let features = self.info.features.iter();
+        features
+            .filter(|(_, feature)| feature.dtype == "video" && is_meant(feature))
             .map(|(name, _)| name.as_str())
             .collect()
     }
@@ -197,6 +227,25 @@ mod tests {
         );
         assert!(fill("{what}", &numbers, "").is_err());
         assert!(fill("{episode_index", &numbers, "").is_err());
+    }
+
+    #[test]
+    fn what_is_said_of_a_video_is_honoured_or_told() {
+        let feature = |rest: &str| {
+            let text = format!(r#"{{"dtype":"video","shape":[48,64,3]{rest}}}"#);
+            serde_json::from_str::<Feature>(&text).unwrap()
+        };
+        for (rest, depth) in [
+            ("", false),
+            (r#","info":{"video.is_depth_map":false,"video.fps":30}"#, false),
+            (r#","info":{"video.is_depth_map":true}"#, true),
+            (r#","video_info":{"is_depth_map":true}"#, true),
+            (r#","info":null"#, false),
+        ] {
+            assert_eq!(feature(rest).is_depth(), depth, "{rest}");
+        }
+        assert_eq!(feature("").other_size((64, 48)), None);
+        assert!(feature("").other_size((32, 24)).unwrap().contains("32x24"));
     }
 
     #[test]
