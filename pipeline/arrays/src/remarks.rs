@@ -203,7 +203,9 @@ impl Found {
         const SRGB: [f64; 8] = [0.3127, 0.329, 0.64, 0.33, 0.3, 0.6, 0.15, 0.06];
         let near = |own: [f64; 8]| own.iter().zip(SRGB).all(|(own, srgb)| (own - srgb).abs() < 0.005);
         if self.profile || (!self.srgb && self.primaries.is_some_and(|own| !near(own))) {
-            notes.push("its colours are those of another space than sRGB: they are taken as they are".to_owned());
+            let note =
+                "its profile or primaries may be those of another space than sRGB: colours are taken as they are";
+            notes.push(note.to_owned());
         }
         if let Some(gamma) = self.gamma.filter(|gamma| !self.srgb && (gamma - 0.454_55).abs() > 0.01) {
             notes.push(format!(
