@@ -78,7 +78,10 @@ fn predictions_that_are_not_finite_are_said() {
     // Below the table, too, where nobody sees the log.
     let table = workspace.rogs(&["table", "run"]).stdout;
     let table = String::from_utf8_lossy(&table).into_owned();
-    assert!(table.contains("NOT FINITE: theirs (up to 4 of a clip, in 1 of 1 clips)"), "{table}");
+    assert!(
+        table.contains("NOT FINITE: theirs (up to 4 of a clip, in 1 of 1 clips)"),
+        "{table}"
+    );
 }
 
 #[needs(long = "two episodes through every stage, twice")]

@@ -143,7 +143,7 @@ fn make_rollouts(args: &Args, config: &SynthConfig, manifest: &Path) -> anyhow::
         write_rollout(&place, &episode, config.anchor() as usize, ROLLOUT_FRAMES, &distortions)?;
         output::note(&format!("rollout {}", place.display()));
     }
-    let text = std::fs::read_to_string(manifest).with_context(|| format!("reading `{}`", manifest.display()))?;
+    let text = rogs_files::read_to_string(manifest).with_context(|| format!("reading `{}`", manifest.display()))?;
     if !text.contains("\n[rollouts]") {
         let model = format!("none: blur {blur} px, drift {drift} m, lag {lag} frames");
         let text = format!("{text}\n[rollouts]\nroot = \"{ROLLOUTS_FOLDER}\"\nmodel = \"{model}\"\n");
@@ -184,7 +184,7 @@ pub(crate) fn make(
 
 fn manifest_text(folder: &Path, name: &str, [height, width]: [u32; 2]) -> anyhow::Result<String> {
     let path = folder.join(ROBOT_FOLDER).join(ROBOT_SPEC_FILE);
-    let spec = std::fs::read_to_string(&path).with_context(|| format!("reading `{}`", path.display()))?;
+    let spec = rogs_files::read_to_string(&path).with_context(|| format!("reading `{}`", path.display()))?;
     let spec: RobotSpec = serde_json::from_str(&spec).with_context(|| format!("reading `{}`", path.display()))?;
     Ok(format!(
         "# Procedural episodes through every stage. Run it with: rogs run {MANIFEST_NAME}\n\

@@ -186,7 +186,7 @@ impl Download {
         report: &mut dyn FnMut(Event),
     ) -> Result<(), Failure> {
         let mut there = length(part);
-        let noted = std::fs::read_to_string(tag).unwrap_or_default();
+        let noted = rogs_files::read_to_string(tag).unwrap_or_default();
         if there > 0 && noted.is_empty() && self.expected == Expected::Anything {
             // Nothing would notice that the file on the server is another one by now.
             there = 0;
