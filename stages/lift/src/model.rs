@@ -71,9 +71,7 @@ fn read(path: &Path, device: &Device) -> StageResult<Model> {
     let loaded = open_stage1(path, device).map_err(stage_error)?;
     let mut hasher = blake3::Hasher::new();
     let io = |error: std::io::Error| StageError::io(format!("{}: {error}", path.display()));
-    hasher
-        .update_reader(rogs_files::open(path).map_err(io)?)
-        .map_err(io)?;
+    hasher.update_reader(rogs_files::open(path).map_err(io)?).map_err(io)?;
     let file = path.file_name().unwrap_or_default().to_string_lossy();
     Ok(model_of(loaded, &file, hasher.finalize().to_hex().to_string()))
 }
