@@ -49,6 +49,7 @@ fn values(view: &TensorView<'_>) -> Vec<f32> {
         Dtype::F32 => fours.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect(),
         Dtype::I32 => fours.iter().map(|bytes| i32::from_le_bytes(*bytes) as f32).collect(),
         Dtype::I64 => eights.iter().map(|bytes| i64::from_le_bytes(*bytes) as f32).collect(),
+        Dtype::U8 => view.data().iter().map(|&byte| f32::from(byte)).collect(),
         other => panic!("unexpected type {other:?}"),
     }
 }
