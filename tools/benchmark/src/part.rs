@@ -1,0 +1,114 @@
+//! The parts of the benchmark: where their data, manifests and runs lie.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context as _, bail};
+
+use crate::page::Table;
+use crate::{cell, procedural, rooms};
+
+/// Folder of the manifests, below the checkout.
+pub(crate) const MANIFESTS: &str = "manifests/benchmark";
+
+/// A part of the benchmark.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Part {
+    /// Real rooms with sensor depth: three views of one moment each.
+    Rooms,
+    /// A real robot cell: the robot, the table, and times that the network did not see.
+    Cell,
+    /// 64 procedural clips at 154x84.
+    #[value(name = "procedural-154x84")]
+    Procedural154,
+    /// The same clips at 280x154.
+    #[value(name = "procedural-280x154")]
+    Procedural280,
+}
+
+impl Part {
+    pub(crate) const ALL: [Self; 4] = [Self::Rooms, Self::Cell, Self::Procedural154, Self::Procedural280];
+
+    pub(crate) fn title(self) -> &'static str {
+        match self {
+            Self::Rooms => "Real rooms",
+            Self::Cell => "A real robot cell",
+            Self::Procedural154 => "Procedural clips at 154x84",
+            Self::Procedural280 => "Procedural clips at 280x154",
+        }
+    }
+
+    /// Name of its manifest and of its run.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Rooms => "rooms",
+            Self::Cell => "cell",
+            Self::Procedural154 => "procedural-154x84",
+            Self::Procedural280 => "procedural-280x154",
+        }
+    }
+
+    /// What of others it needs and is not there.
+    pub(crate) fn missing(self, checkout: &Path) -> Option<PathBuf> {
+        let data = match self {
+            Self::Rooms => "hololens_rooms",
+            Self::Cell => "droid_ctrlworld/new_setup",
+            Self::Procedural154 | Self::Procedural280 => return None,
+        };
+        let folder = checkout.join("../shared/data").join(data);
+        (!folder.is_dir()).then_some(folder)
+    }
+
+    /// Makes its episodes and runs its manifest; what is up to date is left.
+    pub(crate) fn make(self, checkout: &Path, program: &Path) -> anyhow::Result<()> {
+        let runs = checkout.join("runs/benchmark");
+        match self {
+            Self::Rooms => rooms::write(
+                &checkout.join("../shared/data/hololens_rooms"),
+                &runs.join("rooms-data"),
+            )?,
+            Self::Cell => {}
+            Self::Procedural154 | Self::Procedural280 => {
+                let size = if self == Self::Procedural154 {
+                    "154x84"
+                } else {
+                    "280x154"
+                };
+                let data = runs.join(format!("{}-data", self.name()));
+                if !data.is_dir() {
+                    let seed = procedural::FIRST_SEED.to_string();
+                    let clips = procedural::CLIPS.to_string();
+                    let mut synth = Command::new(program);
+                    synth.arg("synth").arg("--out").arg(&data);
+                    synth.args(["--episodes", &clips, "--seed", &seed, "--size", size]);
+                    run(synth)?;
+                }
+            }
+        }
+        let mut command = Command::new(program);
+        let manifest = checkout.join(MANIFESTS).join(self.name()).with_extension("toml");
+        command.arg("run").arg(manifest);
+        run(command)
+    }
+
+    /// What its run scores.
+    pub(crate) fn measure(self, checkout: &Path) -> anyhow::Result<Vec<Table>> {
+        let run = checkout.join("runs/benchmark").join(self.name());
+        let clips = crate::run::read(&run)?;
+        Ok(match self {
+            Self::Rooms => vec![rooms::table(&clips)],
+            Self::Cell => cell::tables(&clips)?,
+            Self::Procedural154 | Self::Procedural280 => vec![procedural::table(&clips)],
+        })
+    }
+}
+
+fn run(mut command: Command) -> anyhow::Result<()> {
+    let shown = format!("{command:?}");
+    let status = command.status().with_context(|| format!("starting {shown}"))?;
+    // 3: some clips failed, and the page counts the others (docs/exit-codes.md).
+    match status.code() {
+        Some(0 | 3) => Ok(()),
+        _ => bail!("{shown} ended with {status}"),
+    }
+}
