@@ -24,12 +24,26 @@ pub(crate) fn read(run: &Path) -> anyhow::Result<Vec<ScoredClip>> {
     folders.retain(|path| path.is_dir());
     let mut clips = Vec::new();
     for folder in folders {
-        let mut scores = Vec::new();
-        for path in paths(&folder)? {
+        // Those of variants lie in folders named by their keys.
+        let mut places = paths(&folder)?;
+        for inner in places.clone().iter().filter(|path| path.is_dir()) {
+            places.extend(paths(inner)?);
+        }
+        let mut scores: Vec<Scores> = Vec::new();
+        for path in places {
             let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
-            if name.is_some_and(|name| name.starts_with("scores") && name.ends_with(".r4c")) {
-                scores.push(read_record::<Scores>(&path)?.0);
+            if !name.is_some_and(|name| name.starts_with("scores") && name.ends_with(".r4c")) {
+                continue;
             }
+            let (read, _) = read_record::<Scores>(&path)?;
+            let method = &read.summary.method;
+            ensure!(
+                scores.iter().all(|other| other.summary.method != *method),
+                "`{}` has scores of `{method}` twice: remove the older ones with `rogs gc {}`",
+                folder.display(),
+                run.display()
+            );
+            scores.push(read);
         }
         if !scores.is_empty() {
             clips.push(ScoredClip {
