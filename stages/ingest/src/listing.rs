@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use crate::fault::io_error;
 use crate::layouts::{
-    KNOWN, Layout, LerobotEpisode, agibot, ctrlworld, detect, droid, lerobot_dataset, refusal, rogs_episode,
+    KNOWN, Layout, LerobotEpisode, agibot, ctrlworld, detect, droid, foreign, lerobot_dataset, refusal, rogs_episode,
 };
 use crate::pointworld;
 
@@ -63,6 +63,7 @@ pub fn list_episodes(root: &Path) -> StageResult<Vec<EpisodeListing>> {
     }
     if found.is_empty() {
         let known = refusal(root).or_else(|| pointworld::refusal(root));
+        let known = known.or_else(|| foreign::refusal(root));
         return Err(known.unwrap_or_else(|| {
             StageError::bad_input(format!("`{}` holds no episode of a known layout", root.display())).with_hint(KNOWN)
         }));

@@ -3,6 +3,7 @@
 pub(crate) mod agibot;
 pub(crate) mod ctrlworld;
 pub(crate) mod droid;
+pub(crate) mod foreign;
 pub(crate) mod lerobot;
 mod lerobot_episodes;
 mod lerobot_meta;
@@ -64,7 +65,8 @@ pub(crate) fn open(root: &Path, calibration: Option<&Path>, params: &Params) -> 
     }
     let layout = match params.layout {
         LayoutChoice::Auto => detect(root).ok_or_else(|| {
-            refusal(root).unwrap_or_else(|| {
+            let known = refusal(root).or_else(|| foreign::refusal(root));
+            known.unwrap_or_else(|| {
                 StageError::bad_input(format!("not an episode folder of a known layout: `{}`", root.display()))
                     .with_hint(KNOWN)
             })
