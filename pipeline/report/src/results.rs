@@ -18,9 +18,11 @@ use rogs_schemas::records::scores::{ScoreSheet, Scores};
 use rogs_score::cohort::CohortCounts;
 use rogs_score::tables::{MethodSignals, Table, TableId, TableInput, TableOptions, table};
 use rogs_score::timing::ClipTiming;
+use serde_json::Value;
 
 use crate::contract::signals;
 use crate::costs::{keep_some_timings, timing};
+use crate::pictures::FieldFile;
 
 /// What a run folder holds for tables and reports.
 #[derive(Debug)]
@@ -53,6 +55,8 @@ pub(crate) struct ClipResults {
     pub(crate) agreements: Vec<PathBuf>,
     /// The field of Stage 1.
     pub(crate) field: Option<PathBuf>,
+    /// Every field of Stage 1, of the run and of its variants, in the order of the plan.
+    pub(crate) fields: Vec<FieldFile>,
     /// What Stage 2 adds to it.
     pub(crate) refinement: Option<PathBuf>,
     /// Scores by method, in the order of the plan; by node where the file cannot be read.
@@ -127,7 +131,12 @@ impl RunResults {
                         .extend(read_record::<Agreements>(&path).map(|(own, _)| own));
                     clip.agreements.push(path);
                 }
-                StageId::Lift if !node.by_key => clip.field = clip.field.take().or(Some(path)),
+                StageId::Lift => {
+                    clip.fields.push(field_file(plan, node_index, path.clone()));
+                    if !node.by_key {
+                        clip.field = clip.field.take().or(Some(path));
+                    }
+                }
                 StageId::Refine if !node.by_key => clip.refinement = clip.refinement.take().or(Some(path)),
                 StageId::Score => match read_record::<Scores>(&path) {
                     // An outside method without a prediction for the clip: it does not count there.
@@ -187,9 +196,33 @@ impl RunResults {
     }
 }
 
+/// The field of a node, and what it was lifted with.
+fn field_file(plan: &Plan, node_index: usize, path: PathBuf) -> FieldFile {
+    let node = &plan.nodes[node_index];
+    let is = |name: &str, value: &Value| node.params.get(name) == Some(value);
+    let mut ingests = plan
+        .upstream(node_index)
+        .filter(|&own| plan.nodes[own].stage == StageId::Ingest);
+    // The first variant is the run itself; of others the label ends in the name, as in `lift@rollout@VARIANT`.
+    let main = node.variants.contains(&0);
+    let variant = node.label.rsplit_once('@').filter(|_| !main).map(|(_, name)| name);
+    FieldFile {
+        name: variant.map_or_else(
+            || "stage1".to_owned(),
+            |name| format!("stage1/{}", name.replace('+', "/")),
+        ),
+        path,
+        camera_wise: is("attention", &Value::from("camera-wise")),
+        anchored: !is("anchoring", &Value::from(false)),
+        conditioned: !is("fk_conditioning", &Value::from(false)),
+        of_rollout: ingests.any(|own| is_rollout(&plan.nodes[own].params)),
+        main,
+    }
+}
+
 /// Whether the parameters of an ingest node ask for a rollout.
-fn is_rollout(params: &serde_json::Value) -> bool {
-    params.get("observations").and_then(serde_json::Value::as_str) == Some(ROLLOUT)
+fn is_rollout(params: &Value) -> bool {
+    params.get("observations").and_then(Value::as_str) == Some(ROLLOUT)
 }
 
 /// Whether nothing was measured.

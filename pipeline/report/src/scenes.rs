@@ -6,7 +6,7 @@ use rogs_export::scene::{LinkMesh, SceneCamera, SceneHead, ScenePicture, SceneWr
 use rogs_field::TimedField;
 use rogs_geometry::{Base, Link, Pose, PosedCamera, Recon};
 use rogs_r4c::read_record;
-use rogs_robot::{Mesh, RobotModel, names};
+use rogs_robot::{Mesh, MeshScene, RobotModel, names};
 use rogs_schemas::records::clip::{CameraRole, Clip};
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::Refinement;
@@ -70,8 +70,8 @@ pub struct RobotMesh {
 }
 
 impl RobotMesh {
-    /// Reads the description and its meshes, those that robot maps are drawn with; nothing is drawn of a robot with more than
-    /// 300,000 triangles.
+    /// Reads the description and its meshes, those that robot maps are drawn with. A scene holds nothing of a robot with more
+    /// than 300,000 triangles.
     ///
     /// # Errors
     /// When they cannot be read.
@@ -90,14 +90,25 @@ impl RobotMesh {
             mesh.weld();
             links.push((link.name.clone(), mesh));
         }
-        let triangles: usize = links.iter().map(|(_, mesh)| mesh.triangles.len()).sum();
-        if triangles > MOST_TRIANGLES {
-            links.clear();
-        }
         Ok(Self { links })
     }
 
+    /// The robot for pictures, its links numbered as they are in a clip's robot maps.
+    pub(crate) fn scene(&self, names: &[String]) -> MeshScene {
+        let mut scene = MeshScene::new();
+        for (link, name) in (0..=u8::MAX).zip(names) {
+            if let Some((_, mesh)) = self.links.iter().find(|(own, _)| own == name) {
+                scene.add(link, mesh);
+            }
+        }
+        scene
+    }
+
     fn of_links(&self, names: &[String]) -> Vec<LinkMesh> {
+        let triangles: usize = self.links.iter().map(|(_, mesh)| mesh.triangles.len()).sum();
+        if triangles > MOST_TRIANGLES {
+            return Vec::new();
+        }
         let mesh = |(link, name): (usize, &String)| {
             let (_, mesh) = self.links.iter().find(|(own, _)| own == name)?;
             (!mesh.triangles.is_empty()).then(|| LinkMesh {

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use maud::Markup;
 use rogs_files::write_bytes;
 use rogs_orchestrator::manifest::{Manifest, PICTURE_CLIPS};
 use rogs_orchestrator::{Error, Result};
@@ -10,7 +11,7 @@ use rogs_score::tables::{Table, TableId, TableOptions};
 
 use crate::beside::beside_page;
 use crate::forms::Form;
-use crate::page::page;
+use crate::page::Pages;
 use crate::players::Player;
 use crate::results::RunResults;
 
@@ -19,8 +20,9 @@ const FOLDER: &str = "report";
 /// Folder of the table files beside the page.
 const TABLES_FOLDER: &str = "tables";
 
-/// Writes the report of a run folder: `report/index.html` and, in every form, `report/tables/`. Returns the path of the
-/// page. Outputs that cannot be read are named in the page instead of stopping it.
+/// Writes the report of a run folder: `report/index.html`, of many clips `report/clips/`, and in every form
+/// `report/tables/`. Returns the path of the first page. Outputs that cannot be read are named in a page instead of stopping
+/// it.
 ///
 /// # Errors
 /// When `run` is not a run folder, cannot be read, or the report cannot be written.
@@ -48,11 +50,29 @@ pub fn write_report(run: &Path) -> Result<PathBuf> {
     for (index, clip) in results.clips.iter().enumerate().take(picture_clips) {
         players.extend(beside_page(&results.plan.run, &folder, index, clip, robot.as_ref())?);
     }
-    let page = page(&results, &tables, &players, picture_clips);
+    let pages = Pages {
+        results: &results,
+        picture_clips,
+        mesh: robot.as_ref(),
+    };
+    // One after the other: pictures of many clips are more than should be in memory at once.
+    for index in 0..results.clips.len() {
+        if let Some(address) = pages.address(index) {
+            let path = folder.join(address);
+            if let (0, Some(parent)) = (index, path.parent()) {
+                rogs_files::make_folder_below(&results.plan.run, parent)?;
+            }
+            write_page(&path, pages.clip(index))?;
+        }
+    }
     let path = folder.join("index.html");
-    // Whatever else has a name in the page.
-    write_bytes(&path, shown::text(&page.into_string()).as_bytes())?;
+    write_page(&path, pages.index(&tables, &players))?;
     Ok(path)
+}
+
+/// Writes a page, with whatever else has a name in it shown so that it steers nothing.
+fn write_page(path: &Path, page: Markup) -> Result<()> {
+    Ok(write_bytes(path, shown::text(&page.into_string()).as_bytes())?)
 }
 
 /// Whether a table says something about this run: a number, and in tables of variants one of a variant.

@@ -8,6 +8,7 @@ use rogs_schemas::ledger::{Attempt, Failure};
 use rogs_schemas::protocol::FailureCode;
 use rogs_schemas::records::agreement::Agreements;
 use rogs_schemas::records::clip::{CameraMount, Clip, ClipCamera, Rollout};
+use rogs_schemas::records::field::Field;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
 use rogs_schemas::{EpisodeFrame, FrameIndex, shown};
@@ -16,24 +17,21 @@ use rogs_score::summary::ImageMetric::{AbsRel, Delta1, Lpips, Psnr, Rmse, Ssim};
 use rogs_score::summary::{ImageMetric, Metric, clip_value};
 use rogs_score::tables::heading;
 
-use super::agreement;
 use super::failure::failure;
-use crate::pictures::{self, Comparison, Figure};
+use super::{agreement, index};
+use crate::pictures::{self, Comparison, FieldFigures, Figure};
 use crate::results::ClipResults;
+use crate::scenes::RobotMesh;
 
-/// The section of a clip, unfolded when `open`, with pictures when `with_pictures`.
-pub(super) fn section(clip: &ClipResults, open: bool, with_pictures: bool) -> Markup {
-    let warnings = || {
-        let attempts = clip.attempts.iter();
-        attempts.flat_map(|(node, attempt)| attempt.warnings.iter().map(move |warning| (node, warning)))
-    };
+/// The section of a clip, unfolded when `open`, with pictures when `with_pictures`; some of them show the robot's mesh.
+pub(super) fn section(clip: &ClipResults, open: bool, with_pictures: bool, mesh: Option<&RobotMesh>) -> Markup {
     html! {
         details open[open] {
             summary { (clip.id) }
             @for own in &clip.failures { (failure(&own.node, &own.failure)) }
-            @for (node, warning) in warnings() { div.warning { (node) ": " (shown::line(warning)) } }
+            @for (node, warning) in index::warnings_of(clip) { div.warning { (node) ": " (shown::line(warning)) } }
             @if with_pictures {
-                (contents(clip))
+                (contents(clip, mesh))
             } @else {
                 p.note { "Pictures are made for the first clips only; `rogs inspect` shows the files of this one." }
             }
@@ -43,27 +41,56 @@ pub(super) fn section(clip: &ClipResults, open: bool, with_pictures: bool) -> Ma
 }
 
 /// What is in the files of a clip. Those that cannot be read are named.
-fn contents(clip: &ClipResults) -> Markup {
+fn contents(own: &ClipResults, mesh: Option<&RobotMesh>) -> Markup {
     let mut unreadable = Vec::new();
-    let robot = read::<RobotMaps>(clip.robot.as_deref(), "robot-maps", &mut unreadable);
+    let robot = read::<RobotMaps>(own.robot.as_deref(), "robot-maps", &mut unreadable);
     let mut scores = Vec::new();
-    for (method, path) in &clip.scores {
+    for (method, path) in &own.scores {
         let record = read::<Scores>(Some(path), "score", &mut unreadable);
         scores.extend(record.map(|record| (method.clone(), record)));
     }
-    let agreements: Vec<Agreements> = (clip.agreements.iter())
+    let agreements: Vec<Agreements> = (own.agreements.iter())
         .filter_map(|path| read(Some(path), "agreement", &mut unreadable))
         .collect();
-    let records = [&clip.clip, &clip.rollout];
+    let records = [&own.clip, &own.rollout];
     let records = records.map(|path| read::<Clip>(path.as_deref(), "ingest", &mut unreadable));
     let both = records.iter().all(Option::is_some);
+    let settings: Vec<Markup> = (records.iter().flatten())
+        .map(|clip| {
+            let figures = robot
+                .as_ref()
+                .map(|robot| field_figures(clip, robot, mesh, own, &mut unreadable));
+            html! {
+                @if both { h3 { (heading(clip.setting())) } }
+                (of_setting(clip, robot.as_ref(), &agreements, &scores, &figures.unwrap_or_default()))
+            }
+        })
+        .collect();
     html! {
         @for (stage, why) in &unreadable { (failure(stage, why)) }
-        @for clip in records.iter().flatten() {
-            @if both { h3 { (heading(clip.setting())) } }
-            (of_setting(clip, robot.as_ref(), &agreements, &scores))
+        @for setting in settings { (setting) }
+    }
+}
+
+/// The figures of the fields of a clip. One field is in memory at a time.
+fn field_figures(
+    clip: &Clip,
+    robot: &RobotMaps,
+    mesh: Option<&RobotMesh>,
+    own: &ClipResults,
+    unreadable: &mut Vec<(&'static str, Failure)>,
+) -> Vec<(&'static str, Comparison)> {
+    let wanted = pictures::wanted(&own.fields, clip.rollout.is_some());
+    let mut figures = FieldFigures::new(clip, robot, mesh, &wanted);
+    for file in figures.read_by(&wanted) {
+        let Some(field) = read::<Field>(Some(&file.path), "lift", unreadable) else {
+            continue;
+        };
+        if let Err(error) = figures.add(file, &field) {
+            unreadable.push(("lift", not_read(&error)));
         }
     }
+    figures.finish()
 }
 
 /// A clip as it was recorded or with generated observations, and what was made of it.
@@ -72,6 +99,7 @@ fn of_setting(
     robot: Option<&RobotMaps>,
     agreements: &[Agreements],
     scores: &[(String, Scores)],
+    of_fields: &[(&'static str, Comparison)],
 ) -> Markup {
     let own = scores
         .iter()
@@ -89,6 +117,7 @@ fn of_setting(
         }
         (comparison("Reference, predictions, errors", &pictures::comparison(clip, &own)))
         (comparison("Recorded, predicted, generated", &pictures::rollout(clip, &own)))
+        @for (title, figure) in of_fields { (comparison(title, figure)) }
         @for (method, scores) in own {
             (score_table(method, &scores.summary))
             (figures(
@@ -106,16 +135,18 @@ fn read<R: Record>(
     unreadable: &mut Vec<(&'static str, Failure)>,
 ) -> Option<R> {
     let (record, _) = read_record::<R>(path?)
-        .map_err(|error| {
-            let failure = Failure {
-                code: FailureCode::Io,
-                message: error.to_string(),
-                hint: Some("`rogs verify --repair RUN` makes it again".to_owned()),
-            };
-            unreadable.push((stage, failure));
-        })
+        .map_err(|error| unreadable.push((stage, not_read(&error))))
         .ok()?;
     Some(record)
+}
+
+/// A file that is there and cannot be read.
+fn not_read(error: &dyn std::error::Error) -> Failure {
+    Failure {
+        code: FailureCode::Io,
+        message: error.to_string(),
+        hint: Some("`rogs verify --repair RUN` makes it again".to_owned()),
+    }
 }
 
 /// Where the clip comes from and what it holds.
@@ -294,7 +325,7 @@ mod tests {
             id: "<script>alert(1)</script>".to_owned(),
             ..ClipResults::default()
         };
-        let html = section(&clip, false, true).into_string();
+        let html = section(&clip, false, true, None).into_string();
         assert!(!html.contains("<script>") && html.contains("&lt;script&gt;"), "{html}");
     }
 }

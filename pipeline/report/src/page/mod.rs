@@ -1,8 +1,10 @@
-//! The page of a run: players, facts, plots, tables, failures, then a section a clip, and what is folded.
+//! The pages of a run. The first has players, facts, plots, tables, failures and warnings, then its clips, and what is
+//! folded. A few clips are sections of it; of many, each has a page of its own, so that every page opens at once.
 
 pub(crate) mod agreement;
 mod clip;
 mod failure;
+mod index;
 
 use std::collections::BTreeSet;
 
@@ -13,29 +15,79 @@ use crate::forms::to_html;
 use crate::players::{self, Player};
 use crate::plots::{bars, plots};
 use crate::results::{ClipResults, RunResults};
+use crate::scenes::RobotMesh;
 
 pub(crate) const STYLE: &str = include_str!("style.css");
 
-/// The page with these tables and players; the first `picture_clips` clips have pictures, the others are listed.
-pub(crate) fn page(results: &RunResults, tables: &[Table], players: &[Player], picture_clips: usize) -> Markup {
-    let body = html! {
-        (players::section(players))
-        (facts(results))
-        (untrained_banner(results))
-        (figures(results))
-        @for table in tables.iter().filter(|table| !is_folded(table)) { (to_html(table)) }
-        (failures(&results.clips))
-        @for (index, clip) in results.clips.iter().enumerate() {
-            (clip::section(clip, index == 0, index < picture_clips))
-        }
-        @if tables.iter().any(is_folded) {
-            details {
-                summary { "Provenance and timings" }
-                @for table in tables.iter().filter(|table| is_folded(table)) { (to_html(table)) }
+/// Clips of a run that are on its page; of more, each has a page of its own.
+const MOST_SECTIONS: usize = 6;
+
+/// What the pages of a run are made of.
+pub(crate) struct Pages<'a> {
+    pub(crate) results: &'a RunResults,
+    /// The first so many clips have pictures.
+    pub(crate) picture_clips: usize,
+    /// The robot, for pictures.
+    pub(crate) mesh: Option<&'a RobotMesh>,
+}
+
+impl Pages<'_> {
+    /// Where the page of a clip lies beside that of the run; none where the run's page has it.
+    pub(crate) fn address(&self, index: usize) -> Option<String> {
+        (self.results.clips.len() > MOST_SECTIONS).then(|| format!("clips/{:04}.html", index + 1))
+    }
+
+    /// The page of the run.
+    pub(crate) fn index(&self, tables: &[Table], players: &[Player]) -> Markup {
+        let clips = &self.results.clips;
+        let apart = clips.len() > MOST_SECTIONS;
+        let body = html! {
+            (players::section(players))
+            (facts(self.results))
+            (untrained_banner(self.results))
+            (figures(self.results))
+            @for table in tables.iter().filter(|table| !is_folded(table)) { (to_html(table)) }
+            (failures(clips))
+            (index::warnings(clips))
+            @if apart {
+                (index::clips(self.results, &|index| self.address(index).unwrap_or_default()))
+            } @else {
+                @for index in 0..clips.len() { (self.section(index, index == 0)) }
             }
-        }
-    };
-    players::page(&format!("rogs: {}", results.plan.name), STYLE, &body, players, false)
+            @if tables.iter().any(is_folded) {
+                details {
+                    summary { "Provenance and timings" }
+                    @for table in tables.iter().filter(|table| is_folded(table)) { (to_html(table)) }
+                }
+            }
+        };
+        players::page(&self.title(), STYLE, &body, players, false)
+    }
+
+    /// The page of one clip.
+    pub(crate) fn clip(&self, index: usize) -> Markup {
+        let clips = &self.results.clips;
+        let name = |index: usize| clips.get(index).map(|clip| clip.id.as_str()).unwrap_or_default();
+        let beside = |index: usize| format!("{:04}.html", index + 1);
+        let body = html! {
+            nav {
+                a href="../index.html#clips" { (self.title()) }
+                @if index > 0 { a href=(beside(index - 1)) { "← " (name(index - 1)) } }
+                @if index + 1 < clips.len() { a href=(beside(index + 1)) { (name(index + 1)) " →" } }
+            }
+            (self.section(index, true))
+        };
+        players::page_of_pictures(name(index), STYLE, &body)
+    }
+
+    fn section(&self, index: usize, open: bool) -> Markup {
+        let clip = &self.results.clips[index];
+        clip::section(clip, open, index < self.picture_clips, self.mesh)
+    }
+
+    fn title(&self) -> String {
+        format!("rogs: {}", self.results.plan.name)
+    }
 }
 
 /// A page that has these players and nothing else, for a server that answers their addresses.

@@ -72,7 +72,7 @@ fn with_renders<'a>(scores: &[&'a (String, Scores)]) -> Vec<&'a (String, Scores)
 }
 
 /// A query time in the middle of the plan, an input time or not: at the ends the first input frame hides what time does.
-fn middle(clip: &Clip, input: bool) -> Option<FrameIndex> {
+pub(super) fn middle(clip: &Clip, input: bool) -> Option<FrameIndex> {
     let all = clip.query_frames.iter().copied();
     let frames: Vec<FrameIndex> = all
         .filter(|frame| clip.source_frames.contains(frame) == input)

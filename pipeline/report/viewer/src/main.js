@@ -1,4 +1,5 @@
 // Starts the players of a page: the first one at once, the others when they are asked for; one at a time.
+import "./enlarge.js";
 import { Player } from "./player.js";
 import { give } from "./source.js";
 
@@ -30,13 +31,7 @@ function prepare(place, index) {
   if (index === 0) openIn(place);
 }
 
-/** Pictures of the page fill the window when they are clicked, until the next click. */
-function enlarge({ target }) {
-  if (target instanceof HTMLImageElement && target.closest("figure, .grid")) target.classList.toggle("large");
-}
-
 function begin() {
-  document.addEventListener("click", enlarge);
   document.querySelectorAll(".player[data-scenes]").forEach(prepare);
 }
 
