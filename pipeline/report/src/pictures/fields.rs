@@ -161,8 +161,9 @@ impl<'a> FieldFigures<'a> {
         if let Some((placed, own)) = self.placed.as_mut().filter(|_| places(file))
             && let Some(gaussians) = at(placed.frame)?
         {
+            let whole = studio.render(&gaussians, placed.views[0].posed, &recon_from_base);
             let cells = placed.views.iter().map(|view| {
-                let mut picture = studio.render(&gaussians, view, &recon_from_base)?;
+                let mut picture = view.of(whole.as_ref()?);
                 draw_contour(&mut picture, &studio.silhouette(view, placed.frame)?, Line::CYAN);
                 picture.jpeg(format!("{}, {}", file.name, view.name))
             });
@@ -171,8 +172,9 @@ impl<'a> FieldFigures<'a> {
         if let Some((moved, own)) = self.moved.as_mut().filter(|_| moves(file))
             && let Some(gaussians) = at(moved.frame)?
         {
+            let whole = studio.render(&gaussians, moved.views[0].posed, &recon_from_base);
             let cells = moved.views.iter().map(|view| {
-                let mut picture = studio.render(&gaussians, view, &recon_from_base)?;
+                let mut picture = view.of(whole.as_ref()?);
                 moved.draw(studio, view, &mut picture)?;
                 picture.jpeg(format!("{}, {}", file.name, view.name))
             });
@@ -247,7 +249,7 @@ impl<'a> FieldFigures<'a> {
             && let Some(picture) = target(clip, placed.camera, frame)
         {
             let cells = placed.views.iter().map(|view| {
-                let mut picture = view.window.of(&picture, view.size());
+                let mut picture = view.of(&picture);
                 draw_contour(&mut picture, &self.studio.silhouette(view, frame)?, Line::CYAN);
                 picture.jpeg(format!("recorded, {}", view.name))
             });
@@ -281,7 +283,7 @@ impl<'a> FieldFigures<'a> {
         };
         if let Some(picture) = target(clip, camera, frame) {
             let cells = moved.views.iter().map(|view| {
-                let mut picture = view.window.of(&picture, view.size());
+                let mut picture = view.of(&picture);
                 moved.draw(&self.studio, view, &mut picture)?;
                 picture.jpeg(format!("recorded, {}", view.name))
             });

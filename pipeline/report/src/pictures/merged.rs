@@ -5,7 +5,7 @@ use rogs_schemas::CameraIndex;
 use rogs_schemas::records::field::Field;
 use rogs_splat::{Colour, Gaussians, sh};
 
-use super::picture::Figure;
+use super::picture::{Figure, Picture};
 use super::studio::{Studio, View};
 
 /// Hue of a camera's Gaussians, by its place among the source cameras, RGB in 0..1.
@@ -29,16 +29,13 @@ pub(super) fn merged_row(
     let area = field.height as usize * field.width as usize;
     let camera_of = |index: usize| field.views.get(index / area.max(1)).map(|view| view.camera);
     let of_camera: Vec<Option<CameraIndex>> = (0..gaussians.len()).map(camera_of).collect();
-    let shown = |gaussians: &Gaussians, view: &View, what: String| {
-        studio
-            .render(gaussians, view, recon_from_base)
-            .and_then(|picture| picture.jpeg(what))
-    };
+    let drawn = |gaussians: &Gaussians| studio.render(gaussians, view.posed, recon_from_base);
+    let shown = |picture: &Option<Picture>, view: &View, what: String| view.of(picture.as_ref()?).jpeg(what);
     let sources = studio.sources();
     let mut cells = Vec::new();
     for (camera, name) in &sources {
         let keep: Vec<bool> = of_camera.iter().map(|own| *own == Some(*camera)).collect();
-        cells.push(shown(&gaussians.kept(&keep), view, format!("{name} alone")));
+        cells.push(shown(&drawn(&gaussians.kept(&keep)), view, format!("{name} alone")));
     }
     let hues: Vec<[f32; 3]> = (of_camera.iter())
         .map(|own| {
@@ -49,12 +46,12 @@ pub(super) fn merged_row(
             HUES[place % HUES.len()]
         })
         .collect();
-    let tinted = tinted(gaussians, &hues);
+    let (merged, by_camera) = (drawn(gaussians), drawn(&tinted(gaussians, &hues)));
     let crop = studio.crop(view.posed, view.frame, &[view.frame], "crop".to_owned());
-    cells.push(shown(gaussians, view, "merged".to_owned()));
-    cells.push(shown(&tinted, view, "merged, by camera".to_owned()));
-    cells.push(shown(gaussians, &crop, "crop".to_owned()));
-    cells.push(shown(&tinted, &crop, "crop, by camera".to_owned()));
+    cells.push(shown(&merged, view, "merged".to_owned()));
+    cells.push(shown(&by_camera, view, "merged, by camera".to_owned()));
+    cells.push(shown(&merged, &crop, "crop".to_owned()));
+    cells.push(shown(&by_camera, &crop, "crop, by camera".to_owned()));
     cells
 }
 

@@ -30,7 +30,7 @@ pub(super) struct Studio<'a> {
 
 /// A part of an image that is shown, pixels of the clip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Window {
+struct Window {
     left: u32,
     top: u32,
     width: u32,
@@ -46,25 +46,26 @@ pub(super) struct View {
     /// The clip frame that is shown.
     pub(super) frame: FrameIndex,
     /// What of its image is shown.
-    pub(super) window: Window,
+    window: Window,
     /// Of the picture, pixels.
     lens: Pinhole,
 }
 
 impl View {
     /// Width and height of its pictures, pixels.
-    pub(super) fn size(&self) -> (u32, u32) {
+    fn size(&self) -> (u32, u32) {
         (self.lens.width, self.lens.height)
     }
 
-    fn camera(&self) -> PosedCamera<Base> {
-        PosedCamera::new(self.lens, self.posed.world_from_camera)
+    /// What it shows of an image of its camera.
+    pub(super) fn of(&self, picture: &Picture) -> Picture {
+        self.window.of(picture, self.size())
     }
 }
 
 impl Window {
     /// This part of an image, at another size.
-    pub(super) fn of(self, picture: &Picture, (width, height): (u32, u32)) -> Picture {
+    fn of(self, picture: &Picture, (width, height): (u32, u32)) -> Picture {
         let own = (picture.width as u32, picture.height as u32);
         let Some(whole) = ImageBuffer::<Rgb<u8>, _>::from_raw(own.0, own.1, picture.rgb.clone()) else {
             return picture.clone();
@@ -193,14 +194,15 @@ impl<'a> Studio<'a> {
         }
     }
 
-    /// The Gaussians as a view shows them.
+    /// The Gaussians as a camera sees them at the clip's size: a field has no finer detail, and at another size the filter of
+    /// the rasteriser, which is as wide as a pixel, would leave gaps between them.
     pub(super) fn render(
         &self,
         gaussians: &Gaussians,
-        view: &View,
+        posed: PosedCamera<Base>,
         recon_from_base: &Pose<Recon, Base>,
     ) -> Option<Picture> {
-        let camera = RasterCamera::new(&view.camera().in_frame(recon_from_base), LengthUnit::Internal);
+        let camera = RasterCamera::new(&posed.in_frame(recon_from_base), LengthUnit::Internal);
         let render = render(gaussians, &camera, &RasterConfig::default()).ok()?;
         Picture::from_rgb(camera.width, camera.height, &render.rgb_bytes())
     }
