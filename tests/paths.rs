@@ -67,7 +67,7 @@ fn run_alone(name: &str) -> String {
 }
 
 #[test]
-fn an_own_episode_becomes_a_report_in_three_commands() {
+fn an_own_episode_becomes_a_report_and_a_film_in_three_commands() {
     let said = run_alone("own-episode");
     assert!(said.contains("1 of 1 clips done, 0 failed"), "{said}");
     assert!(said.contains("lift: built-in weights"), "{said}");
