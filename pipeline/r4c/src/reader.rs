@@ -192,16 +192,21 @@ impl Reader {
                 ),
             ));
         }
-        let footer = Footer::from_bytes(&edge(&file, length - EDGE).map_err(io("reading"))?)
-            .map_err(|(at, check)| damaged(length - EDGE + at, check))?;
+        let start = Prologue::from_bytes(&edge(&file, 0).map_err(io("reading"))?);
+        let footer =
+            Footer::from_bytes(&edge(&file, length - EDGE).map_err(io("reading"))?).map_err(|(at, check)| {
+                match (at, &start) {
+                    (60, Err((0, _))) => damaged(0, "it is no .r4c file: it neither begins nor ends as one".into()),
+                    _ => damaged(length - EDGE + at, check),
+                }
+            })?;
         if footer.file_length != length {
             return Err(damaged(
                 length - 16,
                 format!("it should be {} bytes long, not {length}", footer.file_length),
             ));
         }
-        let prologue =
-            Prologue::from_bytes(&edge(&file, 0).map_err(io("reading"))?).map_err(|(at, c)| damaged(at, c))?;
+        let prologue = start.map_err(|(at, check)| damaged(at, check))?;
         if prologue.container.0 > CONTAINER_VERSION.0 || prologue.required_features & !FEATURE_PLANES != 0 {
             return Err(Error::WrongKind {
                 path: path.to_owned(),

@@ -8,6 +8,9 @@ use rogs_score::metrics::mean;
 use rogs_score::summary::{ImageMetric, Metric, clip_value};
 use rogs_score::tables::heading;
 
+/// Clips that a plot of clips shows at least: of fewer, a table says as much.
+const LEAST_CLIPS: usize = 3;
+
 /// Methods that are compared, with the baseline first: those that are not variants of another.
 fn plain_methods(sheets: &[ScoreSheet]) -> Vec<&str> {
     let names: BTreeSet<&str> = sheets
@@ -123,7 +126,7 @@ fn clip_plot(sheets: &[ScoreSheet], methods: &[&str], metric: Metric, label: &st
             });
         }
     }
-    plot.series.retain(|series| !series.points.is_empty());
+    plot.series.retain(|series| series.points.len() >= LEAST_CLIPS);
     plot
 }
 

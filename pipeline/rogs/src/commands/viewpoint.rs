@@ -122,7 +122,8 @@ impl Scenery {
         if let Some(at) = names().position(|id| id == name) {
             return Ok(CameraIndex(at as u32));
         }
-        let meant = did_you_mean(name, names()).map_or(String::new(), |meant| format!("; did you mean `{meant}`?"));
+        let words = names().chain(["orbit"]);
+        let meant = did_you_mean(name, words).map_or(String::new(), |meant| format!("; did you mean `{meant}`?"));
         let all = names().collect::<Vec<_>>().join(", ");
         bail!("the clip has no camera `{name}`{meant} (cameras: {all}; also `orbit`, `lookat:...`, or a .json file)")
     }
