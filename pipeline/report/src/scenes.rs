@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use rogs_export::scene::{LinkMesh, SceneCamera, SceneHead, ScenePicture, SceneWriter};
 use rogs_field::TimedField;
 use rogs_geometry::{Base, Link, Pose, PosedCamera, Recon};
-use rogs_r4c::read_record;
+use rogs_r4c::{FieldFile, read_record};
 use rogs_robot::{Mesh, MeshScene, RobotModel, names};
 use rogs_schemas::records::clip::{CameraRole, Clip};
 use rogs_schemas::records::field::Field;
@@ -129,61 +129,89 @@ pub fn scenes_of(
     files: &SceneFiles,
     robot_mesh: Option<&RobotMesh>,
 ) -> Result<Vec<(&'static str, Vec<u8>)>, SceneError> {
-    let (field, _) = read_record::<Field>(&files.field)?;
+    let mut field = OneTime::open(&files.field)?;
     let (clip, _) = read_record::<Clip>(&files.clip)?;
     let (robot, _) = read_record::<RobotMaps>(&files.robot)?;
     for found in [&clip.clip_id, &robot.clip_id] {
-        if *found != field.clip_id {
+        if *found != field.held.clip_id {
             return Err(SceneError::OtherClip {
                 found: found.to_string(),
-                expected: field.clip_id.to_string(),
+                expected: field.held.clip_id.to_string(),
             });
         }
     }
-    let refinement = match &files.refinement {
-        Some(path) => Some(read_record::<Refinement>(path)?.0),
-        None => None,
-    };
-    let mut head = head(&clip, &robot, &field)?;
-    let (pictures, meshes) = (
-        pictures(&clip, &field),
-        robot_mesh.map(|mesh| mesh.of_links(&robot.link_names)),
-    );
+    let times = field.file.times().to_vec();
+    let mut head = head(&clip, &robot, &field.held, &times)?;
+    let pictures = pictures(&clip, &times);
+    let meshes = robot_mesh.map(|mesh| mesh.of_links(&robot.link_names));
     let meshes = meshes.unwrap_or_default();
-    let mut scenes = Vec::new();
-    let stage1 = TimedField::new(&field)?;
-    let mut write = |name: &'static str, timed: &TimedField<'_>, own: bool| {
+    drop((clip, robot));
+    let link_of = field.held.link.clone();
+    let mut write = |name: &'static str, refinement: Option<&Refinement>, own: bool| {
         head.name = name.to_owned();
         let writer = SceneWriter {
             head: &head,
-            link_of: &field.link,
+            link_of: &link_of,
             // The viewer takes what scenes have in common from the first one.
             meshes: if own { &meshes } else { &[] },
             pictures: if own { &pictures } else { &[] },
             unit: LengthUnit::Internal,
             most_degree: DEGREE,
         };
-        let bytes = writer.bytes(|time| Ok::<_, SceneError>(timed.gaussians(field.slices[time].time)?))?;
-        scenes.push((name, bytes));
-        Ok::<_, SceneError>(())
+        let bytes = writer.bytes(|time| {
+            let field = field.turned_to(time)?;
+            let timed = TimedField::new(field)?;
+            let timed = match refinement {
+                Some(refinement) => timed.with_refinement(refinement)?,
+                None => timed,
+            };
+            Ok::<_, SceneError>(timed.gaussians(times[time])?)
+        })?;
+        Ok::<_, SceneError>((name, bytes))
     };
-    write("Stage 1", &stage1, true)?;
-    if let Some(refinement) = &refinement {
-        write("Stage 1+2", &stage1.with_refinement(refinement)?, false)?;
+    let mut scenes = vec![write("Stage 1", None, true)?];
+    if let Some(path) = &files.refinement {
+        let (refinement, _) = read_record::<Refinement>(path)?;
+        scenes.push(write("Stage 1+2", Some(&refinement), false)?);
     }
     Ok(scenes)
 }
 
-/// The clip frame nearest to each stored time.
-fn frames(clip: &Clip, field: &Field) -> Vec<FrameIndex> {
-    let last = clip.frame_count().saturating_sub(1) as f64;
-    let times = field.slices.iter().map(|slice| slice.time * last);
-    times.map(|frame| FrameIndex(frame.round() as u32)).collect()
+/// A field of which one time is in memory.
+struct OneTime {
+    file: FieldFile,
+    /// Without slices, or with one.
+    held: Field,
 }
 
-fn head(clip: &Clip, robot: &RobotMaps, field: &Field) -> Result<SceneHead, SceneError> {
+impl OneTime {
+    fn open(path: &Path) -> Result<Self, SceneError> {
+        let file = FieldFile::open(path)?;
+        let held = file.base()?;
+        Ok(Self { file, held })
+    }
+
+    /// The field with the slice of a stored time, by its index.
+    fn turned_to(&mut self, time: usize) -> Result<&Field, SceneError> {
+        let wanted = self.file.times().get(time);
+        if self.held.slices.first().map(|slice| &slice.time) != wanted {
+            self.held.slices.clear();
+            self.held.slices.push(self.file.slice(time)?);
+        }
+        Ok(&self.held)
+    }
+}
+
+/// The clip frame nearest to each stored time.
+fn frames(clip: &Clip, times: &[f64]) -> Vec<FrameIndex> {
+    let last = clip.frame_count().saturating_sub(1) as f64;
+    let frame = |time: &f64| FrameIndex((time * last).round() as u32);
+    times.iter().map(frame).collect()
+}
+
+fn head(clip: &Clip, robot: &RobotMaps, field: &Field, times: &[f64]) -> Result<SceneHead, SceneError> {
     let recon_from_base: Pose<Recon, Base> = Pose::from_rigid(&field.recon_from_base)?;
-    let frames = frames(clip, field);
+    let frames = frames(clip, times);
     let mut cameras = Vec::new();
     for (index, camera) in CameraIndex::first(clip.cameras.len()).zip(&clip.cameras) {
         let pose = |frame: &FrameIndex| {
@@ -211,7 +239,7 @@ fn head(clip: &Clip, robot: &RobotMaps, field: &Field) -> Result<SceneHead, Scen
     Ok(SceneHead {
         title: clip.clip_id.to_string(),
         name: String::new(),
-        times: field.slices.iter().map(|slice| slice.time).collect(),
+        times: times.to_vec(),
         seconds: clip.frame_count().saturating_sub(1) as f64 / clip.fps,
         recon_from_base: recon_from_base.to_matrix4(),
         cameras,
@@ -221,10 +249,10 @@ fn head(clip: &Clip, robot: &RobotMaps, field: &Field) -> Result<SceneHead, Scen
 }
 
 /// What the cameras recorded at the stored times.
-fn pictures(clip: &Clip, field: &Field) -> Vec<ScenePicture> {
+fn pictures(clip: &Clip, times: &[f64]) -> Vec<ScenePicture> {
     let mut pictures = Vec::new();
     for (camera, index) in CameraIndex::first(clip.cameras.len()).enumerate() {
-        for (time, &frame) in frames(clip, field).iter().enumerate() {
+        for (time, &frame) in frames(clip, times).iter().enumerate() {
             let jpeg = clip
                 .target(index, frame)
                 .and_then(|target| photograph(clip.width, clip.height, target.rgb()));

@@ -8,7 +8,6 @@ use rogs_schemas::ledger::{Attempt, Failure};
 use rogs_schemas::protocol::FailureCode;
 use rogs_schemas::records::agreement::Agreements;
 use rogs_schemas::records::clip::{CameraMount, Clip, ClipCamera, Rollout};
-use rogs_schemas::records::field::Field;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
 use rogs_schemas::{EpisodeFrame, FrameIndex, shown};
@@ -72,7 +71,7 @@ fn contents(own: &ClipResults, mesh: Option<&RobotMesh>) -> Markup {
     }
 }
 
-/// The figures of the fields of a clip. One field is in memory at a time.
+/// The figures of the fields of a clip. One field is in memory at a time, with the times that are shown.
 fn field_figures(
     clip: &Clip,
     robot: &RobotMaps,
@@ -83,12 +82,9 @@ fn field_figures(
     let wanted = pictures::wanted(&own.fields, clip.rollout.is_some());
     let mut figures = FieldFigures::new(clip, robot, mesh, &wanted);
     for file in figures.read_by(&wanted) {
-        let Some(field) = read::<Field>(Some(&file.path), "lift", unreadable) else {
-            continue;
-        };
-        if let Err(error) = figures.add(file, &field) {
-            unreadable.push(("lift", not_read(&error)));
-        }
+        let added = figures.field(file).map_err(|error| not_read(&error));
+        let added = added.and_then(|field| figures.add(file, &field).map_err(|error| not_read(&error)));
+        unreadable.extend(added.err().map(|why| ("lift", why)));
     }
     figures.finish()
 }

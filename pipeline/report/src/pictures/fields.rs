@@ -3,6 +3,7 @@
 //! They follow figures 2 and 3 of the paper. Every figure has a row a method, whatever it was lifted with, and shows the
 //! same views of each, so that rows compare.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use rogs_field::TimedField;
@@ -136,6 +137,31 @@ impl<'a> FieldFigures<'a> {
         ];
         let shown = figures.into_iter().filter_map(|(title, own)| Some((title, own?)));
         shown.filter(|(_, own)| !own.rows.is_empty()).collect()
+    }
+
+    /// A field with the times that its rows show.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub(crate) fn field(&self, file: &FieldFile) -> rogs_r4c::Result<Field> {
+        let shown = [
+            self.merged
+                .as_ref()
+                .filter(|_| merges(file))
+                .map(|(view, _)| view.frame),
+            self.placed.as_ref().filter(|_| places(file)).map(|(own, _)| own.frame),
+            self.moved.as_ref().filter(|_| moves(file)).map(|(own, _)| own.frame),
+        ];
+        let shown: BTreeSet<FrameIndex> = shown.into_iter().flatten().collect();
+        let stored = rogs_r4c::FieldFile::open(&file.path)?;
+        let mut field = stored.base()?;
+        for frame in shown {
+            let time = time_of_frame(frame, self.clip.frame_count());
+            if let Some(index) = stored.times().iter().position(|own| *own == time) {
+                field.slices.push(stored.slice(index)?);
+            }
+        }
+        Ok(field)
     }
 
     /// Adds the rows of a field.
