@@ -103,7 +103,7 @@ mod tests {
     fn a_warning_of_several_clips_is_told_once() {
         let clip = |id: &str, warnings: &[&str]| {
             let attempt = serde_json::json!({
-                "unix_ms": 1, "clip_id": "x", "stage": "lift", "output": "o", "key": "0".repeat(64), "worker": "w",
+                "unix_ms": 1, "clip_id": "x", "stage": "lift", "output": "o", "key": "0".repeat(32), "worker": "w",
                 "outcome": "done", "seconds": {}, "peak_rss_bytes": 0, "threads": 1, "output_bytes": 0,
                 "warnings": warnings,
             });
