@@ -87,6 +87,19 @@ try {
   assert.equal(last, 1);
   assert.notEqual(await snapshot(), first, "another camera sees the same");
 
+  const enlarged = await page.evaluate(() => {
+    const picture = document.querySelector("figure img");
+    picture?.click();
+    return [picture?.classList.contains("large"), (picture?.click(), picture?.classList.contains("large"))];
+  });
+  assert(enlarged[0] !== false && !enlarged[1], "a click does not enlarge a picture, or a second one leaves it large");
+
+  // A phone: nothing but tables is wider than the screen, and these scroll by themselves.
+  await page.setViewport({ width: 390, height: 844 });
+  const width = await page.evaluate(() => document.scrollingElement.scrollWidth);
+  assert(width <= 390, `the page is ${width} pixels wide on a screen of 390`);
+  await page.setViewport({ width: 560, height: 900 });
+
   const text = await page.evaluate(() => document.body.textContent);
   assert(text.includes(hostile), `\`${hostile}\` is not shown as text`);
   assert.equal(await page.evaluate(() => document.querySelectorAll("img[src=x]").length), 0, "text became an element");
