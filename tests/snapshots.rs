@@ -73,6 +73,7 @@ fn help_of_every_command() {
         "references",
         "lift",
         "refine",
+        "fit",
         "score",
     ] {
         text += &help(&["stage", stage]);

@@ -82,6 +82,7 @@ fn dependencies_point_one_way() {
         "references",
         "lift",
         "refine",
+        "fit",
         "score",
     ];
     let is_stage = |name: &str| name.strip_prefix("rogs-").is_some_and(|name| stages.contains(&name));
@@ -115,6 +116,7 @@ fn dependencies_point_one_way() {
             "rogs-agreement" => &["rogs-schemas", "rogs-geometry", "rogs-robot"],
             "rogs-calibration" => &["rogs-schemas", "rogs-geometry", "rogs-robot", "rogs-agreement"],
             "rogs-stereo" => &["rogs-schemas", "rogs-geometry", "rogs-kernels"],
+            "rogs-optimise" => &["rogs-schemas", "rogs-geometry"],
             "rogs-lpips" => &["rogs-kernels", "rogs-weights", "rogs-tensors"],
             "rogs-orchestrator" => &["rogs-schemas", "rogs-r4c", "rogs-random"],
             "rogs-report" => &[
@@ -144,6 +146,7 @@ fn dependencies_point_one_way() {
                 "rogs-stage1",
                 "rogs-stage2",
                 "rogs-lpips",
+                "rogs-optimise",
                 "rogs-stereo",
                 "rogs-agreement",
                 "rogs-video",
@@ -203,6 +206,7 @@ fn only_the_table_names_stages() {
                 "references",
                 "lift",
                 "refine",
+                "fit",
                 "score",
             ] {
                 let quoted = format!("\"{name}\"");
@@ -268,8 +272,16 @@ fn only_rogs_files_opens_files_for_reading() {
 /// What is reconstructed is not what is scored: a stage asks the clip for the one or the other, and gets two types.
 #[test]
 fn stages_ask_a_clip_for_observations_or_targets() {
-    let stages = ["robot-maps", "conditioning", "agreement", "lift", "refine", "score"]
-        .map(|name| root().join("stages").join(name).join("src"));
+    let stages = [
+        "robot-maps",
+        "conditioning",
+        "agreement",
+        "lift",
+        "refine",
+        "fit",
+        "score",
+    ]
+    .map(|name| root().join("stages").join(name).join("src"));
     for path in sources()
         .into_iter()
         .filter(|path| stages.iter().any(|stage| path.starts_with(stage)))

@@ -107,6 +107,24 @@ const REFINE: Case = Case {
     rule: Rule::NETWORK,
 };
 
+/// The manifest of the goldens does not ask for this stage: its output lies beside the others.
+const FIT: Case = Case {
+    stage: "fit",
+    output: "../asked/field-fit.r4c",
+    upstream: &[
+        ("clip", "clip.r4c"),
+        ("robot", "robot.r4c"),
+        ("field", "field-1.r4c"),
+        ("refinement", "field-2.r4c"),
+    ],
+    sources: &[],
+    weights: None,
+    rule: Rule::NETWORK,
+};
+
+/// Parameters of [`FIT`].
+const FIT_PARAMS: &str = r#"{"updates": 4}"#;
+
 const SCORE_STAGE_1: Case = Case {
     stage: "score",
     output: "scores-1.r4c",
@@ -215,7 +233,11 @@ fn update() {
     });
     static ASKED: OnceLock<()> = OnceLock::new();
     ASKED.get_or_init(|| {
-        for (case, params) in [(REFERENCES, REFERENCES_PARAMS), (AGREEMENT, AGREEMENT_PARAMS)] {
+        for (case, params) in [
+            (REFERENCES, REFERENCES_PARAMS),
+            (AGREEMENT, AGREEMENT_PARAMS),
+            (FIT, FIT_PARAMS),
+        ] {
             let scratch = tempfile::tempdir().unwrap();
             let made = scratch.path().join("made.r4c");
             case.make(params, scratch.path(), &made);
@@ -251,6 +273,11 @@ fn references() {
 #[test]
 fn agreement() {
     AGREEMENT.check();
+}
+
+#[test]
+fn fit() {
+    FIT.check();
 }
 
 #[test]

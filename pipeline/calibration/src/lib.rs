@@ -10,14 +10,11 @@
 mod correction;
 mod edges;
 mod epipolar;
-mod moment;
-mod outline;
 mod overlay;
 mod refine;
 pub mod rig;
 mod scaled;
 mod search;
-mod silhouettes;
 mod solve;
 mod take;
 mod tracks;

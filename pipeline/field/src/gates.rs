@@ -37,7 +37,7 @@ impl MotionGates {
 }
 
 /// Puts the next query-time values into the raw attributes of a Gaussian where its gate is open. A closed gate has none.
-pub(crate) fn choose_next<'v>(gate: u8, moving: &mut impl Iterator<Item = &'v [f32]>, raw: &mut [f32]) {
+pub fn choose_next<'v>(gate: u8, moving: &mut impl Iterator<Item = &'v [f32]>, raw: &mut [f32]) {
     if gate == 0 {
         return;
     }

@@ -63,6 +63,12 @@ impl LinkMotions {
         self.0.iter().map(|motion| wxyz_f32(motion.quaternion())).collect()
     }
 
+    /// Where a point of a link comes to, reconstruction frame, metres; `None` where there is no such link.
+    #[must_use]
+    pub fn moved(&self, link: usize, point: DVec3) -> Option<DVec3> {
+        self.0.get(link).map(|motion| motion.point(point))
+    }
+
     /// Puts the FK displacement `motion(p) - p` of the supported pixels of a view into its dense conditioning map, taken at
     /// the positions `p` that the pixels have in the field. `position_m [H W, 3]`, reconstruction frame;
     /// `kappa [KAPPA_CHANNELS, H, W]`

@@ -164,6 +164,8 @@ pub struct Output {
     pub skips: &'static [&'static str],
     /// A variant that sets this parameter of the stage makes another output instead, where there is one.
     pub unless: Option<&'static str>,
+    /// It is made only where this stage, which has to be asked for, runs too.
+    pub with: Option<StageId>,
 }
 
 /// How the files of outside methods are taken.
@@ -217,6 +219,7 @@ impl Output {
             method: "",
             skips: &[],
             unless: None,
+            with: None,
         }
     }
 
@@ -416,7 +419,24 @@ stages! {
         outputs: &[Output::new("refine", "field-2.r4c")],
         ..StageSpec::PLAIN
     };
-    /// Measures the field, the refined field, and outside methods.
+    /// The field of one clip, optimised against its source images.
+    Fit = "fit": StageSpec {
+        inputs: &[
+            CLIP,
+            ROBOT,
+            FIELD,
+            Input::when("refinement", Provider::Stage(StageId::Refine), When {
+                param: "start",
+                is: "refined",
+                needed: None,
+            }),
+        ],
+        figures: figures(250.0, 95.0, 1500.0),
+        outputs: &[Output::new("fit", "field-fit.r4c")],
+        asked: true,
+        ..StageSpec::PLAIN
+    };
+    /// Measures the field, the refined field, the fitted field, and outside methods.
     Score = "score": StageSpec {
         inputs: &[
             CLIP,
@@ -424,6 +444,7 @@ stages! {
             FIELD,
             Input::of("references", Provider::Stage(StageId::References)),
             Input::of("refinement", Provider::Stage(StageId::Refine)),
+            Input::of("fitted", Provider::Stage(StageId::Fit)),
             Input::of("predictions", Provider::Predictions),
             Input::of("lpips", Provider::Weights(WeightsRole::Lpips)),
         ],
@@ -432,15 +453,23 @@ stages! {
         outputs: &[
             Output {
                 method: "stage1",
-                skips: &["refinement", "predictions"],
+                skips: &["refinement", "fitted", "predictions"],
                 // The field after some updates is a row of the refined field alone.
                 unless: Some("update"),
                 ..Output::new("score-1", "scores-1.r4c")
             },
             Output {
                 method: "stage1+2",
-                skips: &["predictions"],
+                skips: &["fitted", "predictions"],
                 ..Output::new("score-2", "scores-2.r4c")
+            },
+            Output {
+                method: "fit",
+                skips: &["field", "refinement", "predictions"],
+                // The field after some updates is a row of the refined field alone.
+                unless: Some("update"),
+                with: Some(StageId::Fit),
+                ..Output::new("score-fit", "scores-fit.r4c")
             },
         ],
         ..StageSpec::PLAIN
@@ -451,7 +480,7 @@ stages! {
 pub static OUTSIDE: Outside = Outside {
     stage: StageId::Score,
     output: Output {
-        skips: &["field", "refinement"],
+        skips: &["field", "refinement", "fitted"],
         ..Output::new("score", "scores-1.r4c")
     },
     options: "prediction",
@@ -559,9 +588,9 @@ mod tests {
 
     #[test]
     fn what_is_asked_for_brings_what_it_needs() {
-        use StageId::{Conditioning, Ingest, Lift, References, Refine, RobotMaps, Score};
+        use StageId::{Conditioning, Fit, Ingest, Lift, References, Refine, RobotMaps, Score};
         let unasked: Vec<StageId> = (StageId::ALL.iter().copied())
-            .filter(|&stage| stage != References)
+            .filter(|&stage| stage != References && stage != Fit)
             .collect();
         assert_eq!(StageId::with_producers(&[]), unasked);
         assert_eq!(StageId::with_producers(&[References]), [Ingest, RobotMaps, References]);
@@ -575,6 +604,10 @@ mod tests {
         assert_eq!(
             StageId::with_producers(&[Refine, Ingest]),
             [&up_to_lift[..], &[Refine]].concat()
+        );
+        assert_eq!(
+            StageId::with_producers(&[Fit]),
+            [&up_to_lift[..], &[Refine, Fit]].concat()
         );
     }
 }

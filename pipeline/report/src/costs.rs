@@ -51,10 +51,13 @@ pub(crate) fn timing(
     };
     timing.threads = threads(score);
     let mut peak = costs.get(&score).map(|attempt| attempt.peak_rss_bytes);
+    let (mut refined, mut fitted) = (false, None);
     for upstream in plan.upstream(score) {
         match plan.nodes[upstream].stage {
             StageId::Lift => timing.lift_s = without_loading(upstream),
+            StageId::Fit => fitted = Some(without_loading(upstream)),
             StageId::Refine => {
+                refined = true;
                 let scored = node.params.get("update").and_then(serde_json::Value::as_u64);
                 let made = plan.nodes[upstream]
                     .params
@@ -69,6 +72,10 @@ pub(crate) fn timing(
         // The stage was loaded for this clip: the process had not done one with these weights before.
         timing.warmup |= phase(upstream, "load").is_some();
         peak = peak.max(costs.get(&upstream).map(|attempt| attempt.peak_rss_bytes));
+    }
+    if let Some(seconds) = fitted {
+        let before = if refined { timing.refine_s } else { Some(0.0) };
+        timing.refine_s = seconds.zip(before).map(|(fit, refinement)| fit + refinement);
     }
     timing.peak_rss_bytes = peak;
     timing

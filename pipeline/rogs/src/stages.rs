@@ -29,6 +29,7 @@ pub(crate) fn run(name: &str, arguments: Vec<OsString>) -> ExitCode {
         StageId::References => stage_main_from::<rogs_references::ReferencesStage>(arguments),
         StageId::Lift => stage_main_from::<rogs_lift::Lift>(arguments),
         StageId::Refine => stage_main_from::<rogs_refine::Refine>(arguments),
+        StageId::Fit => stage_main_from::<rogs_fit::Fit>(arguments),
         StageId::Score => stage_main_from::<rogs_score::Score>(arguments),
     }
 }
@@ -79,6 +80,7 @@ mod tests {
                 StageId::References => agrees::<rogs_references::ReferencesStage>(id),
                 StageId::Lift => agrees::<rogs_lift::Lift>(id),
                 StageId::Refine => agrees::<rogs_refine::Refine>(id),
+                StageId::Fit => agrees::<rogs_fit::Fit>(id),
                 StageId::Score => agrees::<rogs_score::Score>(id),
             }
         }

@@ -99,6 +99,7 @@ impl Stage for Score {
             InputDescription::optional("field", Field::SCHEMA.name),
             InputDescription::optional("references", References::SCHEMA.name),
             InputDescription::optional("refinement", Refinement::SCHEMA.name),
+            InputDescription::optional("fitted", Field::SCHEMA.name),
             InputDescription::optional("predictions", "folder"),
             InputDescription::optional("lpips", "file"),
         ]
@@ -141,10 +142,9 @@ impl Stage for Score {
 
 impl Score {
     fn run_own(&self, context: &mut Context<'_>, clip: &Clip, robot: &RobotMaps) -> StageResult<()> {
-        let field: Field = context.read("field")?;
-        let refinement = context
-            .optional_input("refinement")
-            .is_some()
+        let fitted = context.optional_input("fitted").is_some();
+        let field: Field = context.read(if fitted { "fitted" } else { "field" })?;
+        let refinement = (!fitted && context.optional_input("refinement").is_some())
             .then(|| context.read::<Refinement>("refinement"));
         let refinement = refinement.transpose()?;
         if let (Some(refinement), Some(key)) = (&refinement, context.input_key("field"))
@@ -166,7 +166,12 @@ impl Score {
         let refined = refinement.is_some() && self.params.update != Some(0);
         let weights = [Some(&field.weights), refinement.as_ref().map(|own| &own.weights)];
         let weights = weights.into_iter().flatten().cloned().collect();
-        let sheet = self.empty_sheet(clip, if refined { "stage1+2" } else { "stage1" }, weights);
+        let method = match (fitted, refined) {
+            (true, _) => "fit",
+            (false, true) => "stage1+2",
+            (false, false) => "stage1",
+        };
+        let sheet = self.empty_sheet(clip, method, weights);
         self.score(context, &scene, sheet)
     }
 

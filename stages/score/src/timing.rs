@@ -21,7 +21,7 @@ pub struct ClipTiming {
     pub preprocess_s: Option<f64>,
     /// Reconstruction: lifting, inference or optimisation, seconds.
     pub lift_s: Option<f64>,
-    /// Refinement, seconds.
+    /// Refinement and fit, seconds.
     pub refine_s: Option<f64>,
     /// Rendering of the query plan, seconds.
     pub render_query_s: Option<f64>,
@@ -58,7 +58,7 @@ pub fn reported_seconds(timing: &ClipTiming) -> Option<f64> {
         "movies" => (&[lift_s, render_query_s], &[transform_merge_s]),
         "4dgt" => (&[lift_s, render_query_s], &[preprocess_s, render_displacement_s]),
         "som" => (&[lift_s, render_query_s], &[preprocess_s]),
-        "stage1+2" => (&[lift_s, refine_s, render_query_s], &[]),
+        "stage1+2" | "fit" => (&[lift_s, refine_s, render_query_s], &[]),
         _ => (&[lift_s, render_query_s], &[refine_s]),
     };
     let required: Option<Vec<f64>> = required.iter().copied().collect();

@@ -77,6 +77,10 @@ pub struct Manifest {
     /// Parameters of `refine` (Stage 2).
     #[serde(default)]
     pub refine: Params,
+    /// Parameters of `fit`, which runs where this table is there: the field of each clip, optimised against its source
+    /// images.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fit: Option<Params>,
     /// Parameters of `score`.
     #[serde(default)]
     pub score: Params,
@@ -355,6 +359,9 @@ pub struct Variant {
     /// Parameters of `refine`.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub refine: Params,
+    /// Parameters of `fit`, which runs where this table is there or the run has it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fit: Option<Params>,
     /// Parameters of `score`.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub score: Params,
@@ -491,7 +498,11 @@ macro_rules! stage_tables {
             /// Whether it asks for a stage that has to be asked for.
             #[must_use]
             pub fn asks(&self, stage: StageId) -> bool {
-                stage == StageId::References && self.references.is_some()
+                match stage {
+                    StageId::References => self.references.is_some(),
+                    StageId::Fit => self.fit.is_some(),
+                    _ => false,
+                }
             }
 
             /// Parameters that it gives a stage.
@@ -505,6 +516,7 @@ macro_rules! stage_tables {
                     StageId::References => self.references.as_ref().unwrap_or(&NO_PARAMS),
                     StageId::Lift => &self.lift,
                     StageId::Refine => &self.refine,
+                    StageId::Fit => self.fit.as_ref().unwrap_or(&NO_PARAMS),
                     StageId::Score => &self.score,
                 }
             }

@@ -596,7 +596,10 @@ impl<'a> Builder<'a> {
 /// that a parameter of the variant speaks against is left out.
 fn outputs(stage: StageId, column: Column<'_>, made: &Made) -> Vec<&'static Output> {
     let spec = stage.spec();
-    let possible = |output: &&Output| spec.producers(output).all(|producer| made.contains_key(&producer));
+    let possible = |output: &&Output| {
+        let mut needed = spec.producers(output).chain(output.with);
+        needed.all(|producer| made.contains_key(&producer))
+    };
     let mut outputs: Vec<&Output> = spec.outputs.iter().filter(possible).collect();
     if let (Column::Variant(_, variant), 2..) = (column, outputs.len()) {
         let given = variant.params(stage);
