@@ -9,9 +9,9 @@ use rogs_schemas::records::scores::RenderedView;
 use rogs_schemas::{CameraIndex, FrameIndex};
 use rogs_score::metrics::{mean, median};
 
-use crate::page::{Cell, Table};
 use crate::plane::Plane;
 use crate::run::ScoredClip;
+use crate::table::{Cell, Table};
 
 /// Where the table is looked for, metres in the base frame: x, y, z.
 const WORKSPACE_M: [[f64; 2]; 3] = [[0.2, 0.9], [-0.6, 0.6], [-0.3, 0.3]];

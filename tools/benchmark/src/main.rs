@@ -8,6 +8,7 @@ mod plane;
 mod procedural;
 mod rooms;
 mod run;
+mod table;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -88,7 +89,7 @@ fn benchmark(args: &Args) -> anyhow::Result<()> {
                 Ok(part.measure(&args.checkout)?)
             }
         };
-        sections.push((part, found));
+        sections.push((part.title(), found));
     }
     let text = page::page(&sections);
     match &args.page {

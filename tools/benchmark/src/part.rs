@@ -5,7 +5,7 @@ use std::process::Command;
 
 use anyhow::{Context as _, bail};
 
-use crate::page::Table;
+use crate::table::Table;
 use crate::{cell, procedural, rooms};
 
 /// Folder of the manifests, below the checkout.

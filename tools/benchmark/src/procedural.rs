@@ -2,8 +2,8 @@
 
 use rogs_score::summary::{ImageMetric, Metric, clip_value};
 
-use crate::page::{Cell, Table};
 use crate::run::ScoredClip;
+use crate::table::{Cell, Table};
 
 /// Seed of the first clip; 9000000 to 9999999 are for this benchmark.
 pub(crate) const FIRST_SEED: u64 = 9_000_000;

@@ -20,8 +20,8 @@ use rogs_synth::{ARM_JOINT_NAMES, Robot, write_robot};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
-use crate::page::{Cell, Table};
 use crate::run::ScoredClip;
+use crate::table::{Cell, Table};
 
 /// Metres of the episode for a metre of the room.
 const SCALE: f64 = 0.5;
