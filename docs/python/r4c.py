@@ -380,6 +380,13 @@ _agreement = _row(
         )
     ),
 )
+_polynomial_field = _row(
+    clip_id=_text,
+    height=_u32,
+    width=_u32,
+    views=_many(_view),
+    weights=_many(_weights),
+)
 _image = _row(
     camera=_text,
     source_view=_flag,
@@ -417,6 +424,7 @@ HEADS = {
     "rogs.references": {"references": _whole(_references_made)},
     "rogs.agreement": {"agreement": _whole(_agreement)},
     "rogs.field": {"field": _whole(_field)},
+    "rogs.polynomial-field": {"field": _whole(_polynomial_field)},
     "rogs.refinement": {"refinement": _whole(_refinement)},
     "rogs.scores": {
         "summary": _whole(_scores),

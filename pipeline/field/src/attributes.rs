@@ -16,7 +16,7 @@ pub const ROTATION: Range<usize> = 6..10;
 /// Raw channel of the opacity.
 pub const OPACITY: usize = RAW_CHANNELS - 1;
 
-/// Largest activated scale of an axis, internal units.
+/// Largest activated scale of an axis where a Gaussian has no cap of its own, internal units.
 pub const MAX_SCALE_IU: f32 = MAX_SCALE as f32;
 /// Activated scale per unit of softplus, internal units.
 pub const SCALE_STEP_IU: f32 = SCALE_STEP as f32;
@@ -36,17 +36,24 @@ pub fn colour(raw: f32) -> f32 {
 /// Scale of an axis of a raw value: `min(0.3, 0.001 softplus(raw))`, internal units.
 #[must_use]
 pub fn scale_iu(raw: f32) -> f32 {
-    // softplus(x) = max(x, 0) + ln(1 + e^-|x|) neither overflows nor loses small values.
-    let softplus = raw.max(0.0) + libm::log1pf(libm::expf(-raw.abs()));
-    (SCALE_STEP_IU * softplus).min(MAX_SCALE_IU)
+    scale_below_iu(raw, f32::INFINITY)
 }
 
-/// The raw scale whose activation is `factor` times that of `raw`, at most the largest there is.
+/// The same for a Gaussian with a cap of its own, which stands in the place of 0.3 where it is finite: smaller for the
+/// footprint of the robot, larger where a field was made in a larger unit. Internal units
+#[must_use]
+pub fn scale_below_iu(raw: f32, cap_iu: f32) -> f32 {
+    // softplus(x) = max(x, 0) + ln(1 + e^-|x|) neither overflows nor loses small values.
+    let softplus = raw.max(0.0) + libm::log1pf(libm::expf(-raw.abs()));
+    (SCALE_STEP_IU * softplus).min(if cap_iu.is_finite() { cap_iu } else { MAX_SCALE_IU })
+}
+
+/// The raw scale whose activation below a cap of `factor` times [`MAX_SCALE_IU`] is `factor` times that of `raw`.
 #[must_use]
 pub fn rescaled(raw: f32, factor: f64) -> f32 {
     let raw = f64::from(raw);
     let softplus = raw.max(0.0) + libm::log1p(libm::exp(-raw.abs()));
-    let scale = (factor * (SCALE_STEP * softplus).min(MAX_SCALE)).min(MAX_SCALE);
+    let scale = factor * (SCALE_STEP * softplus).min(MAX_SCALE);
     let target = scale / SCALE_STEP;
     // The inverse of softplus: y + ln(1 - e^-y).
     (target + libm::log(-libm::expm1(-target))) as f32
@@ -94,20 +101,20 @@ mod tests {
 
     #[test]
     fn rescaled_raw_values_activate_to_rescaled_scales() {
-        let activated = |raw: f32| (SCALE_STEP * (1.0 + f64::from(raw).exp()).ln()).min(MAX_SCALE);
-        for raw in [-8.0f32, -1.0, 0.0, 0.5, 3.0, 40.0] {
+        // Exact for all that is not cut, in the raw values of both.
+        let softplus = |raw: f64| if raw > 30.0 { raw } else { (1.0 + raw.exp()).ln() };
+        let activated = |raw: f32| (SCALE_STEP * softplus(f64::from(raw))).min(MAX_SCALE);
+        for raw in [-8.0f32, -1.0, 0.0, 0.5, 3.0, 40.0, 290.0, 310.0, 1e4] {
             for factor in [0.25, 1.0, 3.5] {
-                let (found, expected) = (activated(rescaled(raw, factor)), factor * activated(raw));
+                let cap = (factor * MAX_SCALE) as f32;
+                let found = f64::from(scale_below_iu(rescaled(raw, factor), cap));
+                let expected = factor * activated(raw);
                 assert!(
                     (found / expected - 1.0).abs() < 1e-5,
                     "{raw} {factor}: {found} {expected}"
                 );
             }
         }
-        assert!(
-            (activated(rescaled(290.0, 3.5)) - MAX_SCALE).abs() < 1e-6,
-            "the ceiling holds"
-        );
         assert!(rescaled(-200.0, 2.0) < -80.0, "tiny scales stay tiny");
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! [`attributes`] gives raw attributes their meaning (colour, scale, rotation, opacity), [`gates`] says when a Gaussian
 //! takes its query-time attributes, [`Correction`] is what Stage 2 adds, and [`TimedField`] puts the three together:
-//! the Gaussians of a field at a stored time, ready to be rendered. [`ply`] reads and writes 3DGS PLY files.
+//! the Gaussians of a field at a stored time, ready to be rendered. [`polynomial`] does so for fields of 4DGT. [`ply`] reads and writes 3DGS PLY files.
 //!
 //! Records hold metres; Gaussians come out in internal units, 3.5 per metre, in the reconstruction frame.
 //!
@@ -24,6 +24,7 @@ pub mod ply;
 mod ply_header;
 mod ply_packed;
 mod ply_scene;
+pub mod polynomial;
 mod timed;
 
 pub use correction::{Correction, GateGroup, POSITION_BOUND_M};
@@ -32,4 +33,5 @@ pub use gates::{MotionGates, raw_at};
 pub use ply::{Axes, export_field, gaussians_in, read_ply, read_ply_file, write_ply};
 pub use ply_packed::write_packed_ply;
 pub use ply_scene::PlyScene;
+pub use polynomial::PolynomialState;
 pub use timed::TimedField;

@@ -11,7 +11,7 @@ use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, Refinemen
 use rogs_schemas::units::iu_from_m;
 use rogs_splat::{Colour, Gaussians, sh};
 
-use crate::attributes::{MIN_LINEAR_SCALE_IU, colour, opacity_logit, scale_iu, sigmoid};
+use crate::attributes::{MIN_LINEAR_SCALE_IU, colour, opacity_logit, scale_below_iu, sigmoid};
 use crate::error::{Error, Result};
 use crate::gates;
 
@@ -262,9 +262,9 @@ fn activate(raw: &[f32; RAW_CHANNELS], cap: f32, residual: Option<(&[f32], Scale
     let scale = std::array::from_fn(|k| {
         let own = raw[3 + k];
         let scale = match residual {
-            Some((v, ScaleResidual::PreActivation)) => scale_iu(own + v[3 + k]),
-            Some((v, ScaleResidual::Linear)) => (scale_iu(own) + v[3 + k]).max(MIN_LINEAR_SCALE_IU),
-            None => scale_iu(own),
+            Some((v, ScaleResidual::PreActivation)) => scale_below_iu(own + v[3 + k], cap),
+            Some((v, ScaleResidual::Linear)) => (scale_below_iu(own, cap) + v[3 + k]).max(MIN_LINEAR_SCALE_IU),
+            None => scale_below_iu(own, cap),
         };
         scale.min(cap)
     });
@@ -372,7 +372,8 @@ mod tests {
                 .collect();
             for k in 0..3 {
                 let cap = f64::from(field.scale_cap_iu[n]);
-                let scale = (0.001 * libm::log1p(libm::exp(raw[3 + k]))).min(0.3).min(cap);
+                let cap = if cap.is_finite() { cap } else { 0.3 };
+                let scale = (0.001 * libm::log1p(libm::exp(raw[3 + k]))).min(cap);
                 assert!((f64::from(gaussians.scales[3 * n + k]) - scale).abs() < 1e-9);
                 let rgb = 0.5 + 0.5 * libm::tanh(raw[k]);
                 assert!((f64::from(gaussians.colour.values()[3 * n + k]) - rgb).abs() < 1e-6);
@@ -410,7 +411,7 @@ mod tests {
             let on = if [0, 2, 5].contains(&n) { 1.0 } else { 0.0_f32 };
             let metres = (field.position_m[3 * n] + on * 1e-3) + field.slices[1].displacement_m[3 * n];
             assert!((corrected.means[3 * n] - metres * 3.5).abs() < 1e-6);
-            let scale = scale_iu(raw[RAW_CHANNELS * n + 4] + on * 5e-3).min(field.scale_cap_iu[n]);
+            let scale = scale_below_iu(raw[RAW_CHANNELS * n + 4] + on * 5e-3, field.scale_cap_iu[n]);
             assert!((corrected.scales[3 * n + 1] - scale).abs() < 1e-8);
             assert!((corrected.quats[4 * n + 3] - (raw[RAW_CHANNELS * n + 9] + on * 10e-3)).abs() < 1e-6);
             assert_eq!(

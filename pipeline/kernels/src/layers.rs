@@ -99,6 +99,7 @@ impl LayerNorm {
             weight: &self.weight,
             bias: &self.bias,
             epsilon: EPSILON,
+            centred: true,
         };
         vectorised(
             #[inline(always)]

@@ -1,8 +1,8 @@
-//! Layer normalisation of rows.
+//! Normalisation of rows: layer norm, and by the root mean square.
 
 use crate::lanes::sum;
 
-/// Affine map and epsilon of a layer norm. `[width]` each
+/// Affine map and epsilon of a norm. `[width]` each
 #[derive(Debug, Clone, Copy)]
 pub struct Norm<'a> {
     /// Scale.
@@ -11,13 +11,21 @@ pub struct Norm<'a> {
     pub bias: &'a [f32],
     /// Added to the variance.
     pub epsilon: f32,
+    /// Whether the mean comes off first (layer norm), or values are divided by their root mean square as they are.
+    pub centred: bool,
 }
 
 impl Norm<'_> {
-    /// `(x - mean) / sqrt(variance + epsilon) * weight + bias` of one row, in place.
+    /// `(x - mean) / sqrt(variance + epsilon) * weight + bias` of one row, in place; without [`Self::centred`] the mean
+    /// counts as 0.
     #[inline(always)]
     pub fn apply(&self, row: &mut [f32]) {
-        let moments = moments(row, self.epsilon);
+        let moments = if self.centred {
+            moments(row, self.epsilon)
+        } else {
+            let square = sum(row, |value| value * value) / row.len() as f32;
+            (0.0, inverse_deviation(square, self.epsilon))
+        };
         self.apply_with(row, moments);
     }
 
@@ -25,7 +33,11 @@ impl Norm<'_> {
     #[inline(always)]
     pub(crate) fn apply_in_order(&self, row: &mut [f32]) {
         let count = row.len() as f32;
-        let mean = row.iter().sum::<f32>() / count;
+        let mean = if self.centred {
+            row.iter().sum::<f32>() / count
+        } else {
+            0.0
+        };
         let variance = row.iter().map(|value| (value - mean) * (value - mean)).sum::<f32>() / count;
         self.apply_with(row, (mean, inverse_deviation(variance, self.epsilon)));
     }
@@ -66,6 +78,7 @@ mod tests {
                 weight: &weight,
                 bias: &bias,
                 epsilon: 0.0,
+                centred: true,
             };
             norm.apply(&mut row);
             norm.apply_in_order(&mut other);
@@ -78,6 +91,27 @@ mod tests {
             for (a, b) in row.iter().zip(&other) {
                 assert!((a - b).abs() < 1e-5, "{a} {b}");
             }
+        }
+    }
+
+    #[test]
+    fn rows_are_divided_by_their_root_mean_square() {
+        let row: Vec<f32> = (0..12).map(|k| ((k * 7) % 11) as f32 - 2.0).collect();
+        let square: f64 = row.iter().map(|&value| f64::from(value).powi(2)).sum::<f64>() / 12.0;
+        let (weight, bias) = (vec![3.0; 12], vec![0.0; 12]);
+        let norm = Norm {
+            weight: &weight,
+            bias: &bias,
+            epsilon: 0.25,
+            centred: false,
+        };
+        let (mut found, mut other) = (row.clone(), row.clone());
+        norm.apply(&mut found);
+        norm.apply_in_order(&mut other);
+        for ((value, found), other) in row.iter().zip(found).zip(other) {
+            let expected = 3.0 * f64::from(*value) / (square + 0.25).sqrt();
+            assert!((f64::from(found) - expected).abs() < 1e-5, "{found} {expected}");
+            assert!((found - other).abs() < 1e-5, "{found} {other}");
         }
     }
 }

@@ -12,11 +12,12 @@ use crate::stage::{Filled, StageId};
 const TITLE: &str = "rogs run manifest";
 
 /// Tables that hold parameters of stages besides those at the top: definition, and of which stages.
-const TABLES: [(&str, &[StageId]); 4] = [
+const TABLES: [(&str, &[StageId]); 5] = [
     ("Variant", StageId::ALL),
     ("Episode", &[StageId::Ingest]),
     ("Input", &[StageId::Ingest]),
     ("Prediction", &[StageId::Score]),
+    ("Baseline", &[StageId::Score]),
 ];
 
 /// The schema of manifests for these stage programs.

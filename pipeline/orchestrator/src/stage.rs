@@ -149,6 +149,12 @@ pub enum WeightsRole {
     Lpips,
     /// `adapter`: the latent adapter.
     Adapter,
+    /// `movies`: the released network of MoVieS.
+    Movies,
+    /// `4dgt`: the released network of 4DGT.
+    FourDgt,
+    /// `dinov2`: the image encoder of 4DGT.
+    Dinov2,
 }
 
 /// One output of a stage for every clip.
@@ -166,6 +172,34 @@ pub struct Output {
     pub unless: Option<&'static str>,
     /// It is made only where this stage, which has to be asked for, runs too.
     pub with: Option<StageId>,
+}
+
+/// A baseline that the program runs itself, with units of its own: one stage makes its field, another scores it.
+#[derive(Debug)]
+pub struct BaselineSpec {
+    /// Its name in `[[baselines]]`, and of its rows.
+    pub method: &'static str,
+    /// What it is, for messages.
+    pub words: &'static str,
+    /// The stage that makes its field.
+    pub lift: StageId,
+    /// Parameters of that stage that make it the baseline.
+    pub fixed: &'static [(&'static str, Fixed)],
+    /// Files that it needs (or `seeded`), each in the place of a role of the stage.
+    pub weights: &'static [(WeightsRole, WeightsRole)],
+    /// The stage that scores its field.
+    pub score: StageId,
+    /// What that stage makes of it.
+    pub output: Output,
+}
+
+/// The value of a parameter that makes a stage a baseline.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fixed {
+    /// A word.
+    Word(&'static str),
+    /// Off.
+    Off,
 }
 
 /// How the files of outside methods are taken.
@@ -261,6 +295,9 @@ impl WeightsRole {
             Self::Refine => "refine",
             Self::Lpips => "lpips",
             Self::Adapter => "adapter",
+            Self::Movies => "movies",
+            Self::FourDgt => "4dgt",
+            Self::Dinov2 => "dinov2",
         }
     }
 }
@@ -405,6 +442,23 @@ stages! {
         outputs: &[Output::new("lift", "field-1.r4c")],
         ..StageSpec::PLAIN
     };
+    /// The baseline 4DGT: a field of its own kind.
+    Lift4dgt = "lift-4dgt": StageSpec {
+        inputs: &[
+            CLIP,
+            ROBOT,
+            Input::of("weights", Provider::Weights(WeightsRole::FourDgt)),
+            Input::of("encoder", Provider::Weights(WeightsRole::Dinov2)),
+        ],
+        filled: &[
+            ("weights", Filled::Weights(WeightsRole::FourDgt)),
+            ("encoder", Filled::Weights(WeightsRole::Dinov2)),
+        ],
+        figures: figures(400.0, 330.0, 4000.0),
+        outputs: &[Output::new("lift-4dgt", "field-4dgt.r4c")],
+        asked: true,
+        ..StageSpec::PLAIN
+    };
     /// Stage 2: corrections of the field.
     Refine = "refine": StageSpec {
         inputs: &[
@@ -445,6 +499,7 @@ stages! {
             Input::of("references", Provider::Stage(StageId::References)),
             Input::of("refinement", Provider::Stage(StageId::Refine)),
             Input::of("fitted", Provider::Stage(StageId::Fit)),
+            Input::of("polynomial", Provider::Stage(StageId::Lift4dgt)),
             Input::of("predictions", Provider::Predictions),
             Input::of("lpips", Provider::Weights(WeightsRole::Lpips)),
         ],
@@ -453,19 +508,19 @@ stages! {
         outputs: &[
             Output {
                 method: "stage1",
-                skips: &["refinement", "fitted", "predictions"],
+                skips: &["refinement", "fitted", "polynomial", "predictions"],
                 // The field after some updates is a row of the refined field alone.
                 unless: Some("update"),
                 ..Output::new("score-1", "scores-1.r4c")
             },
             Output {
                 method: "stage1+2",
-                skips: &["fitted", "predictions"],
+                skips: &["fitted", "polynomial", "predictions"],
                 ..Output::new("score-2", "scores-2.r4c")
             },
             Output {
                 method: "fit",
-                skips: &["field", "refinement", "predictions"],
+                skips: &["field", "refinement", "polynomial", "predictions"],
                 // The field after some updates is a row of the refined field alone.
                 unless: Some("update"),
                 with: Some(StageId::Fit),
@@ -480,11 +535,61 @@ stages! {
 pub static OUTSIDE: Outside = Outside {
     stage: StageId::Score,
     output: Output {
-        skips: &["field", "refinement", "fitted"],
+        skips: &["field", "refinement", "fitted", "polynomial"],
         ..Output::new("score", "scores-1.r4c")
     },
     options: "prediction",
 };
+
+/// The baselines that run here.
+pub static BASELINES: [BaselineSpec; 2] = [
+    BaselineSpec {
+        method: "movies",
+        words: "MoVieS",
+        lift: StageId::Lift,
+        fixed: &[
+            ("attention", Fixed::Word("camera-wise")),
+            ("anchoring", Fixed::Off),
+            ("fk_conditioning", Fixed::Off),
+        ],
+        weights: &[(WeightsRole::Lift, WeightsRole::Movies)],
+        score: StageId::Score,
+        output: Output {
+            skips: &["refinement", "polynomial", "predictions"],
+            ..Output::new("score", "scores-1.r4c")
+        },
+    },
+    BaselineSpec {
+        method: "4dgt",
+        words: "4DGT",
+        lift: StageId::Lift4dgt,
+        fixed: &[],
+        weights: &[
+            (WeightsRole::FourDgt, WeightsRole::FourDgt),
+            (WeightsRole::Dinov2, WeightsRole::Dinov2),
+        ],
+        score: StageId::Score,
+        output: Output {
+            skips: &["field", "refinement", "predictions"],
+            ..Output::new("score", "scores-1.r4c")
+        },
+    },
+];
+
+impl BaselineSpec {
+    /// The baseline of a name.
+    #[must_use]
+    pub fn by_method(method: &str) -> Option<&'static Self> {
+        BASELINES.iter().find(|spec| spec.method == method)
+    }
+
+    /// The role of `[weights]` that stands in the place of a role of its stage.
+    #[must_use]
+    pub fn weights_of(&self, of: WeightsRole) -> WeightsRole {
+        let own = self.weights.iter().find(|(place, _)| *place == of);
+        own.map_or(of, |(_, role)| *role)
+    }
+}
 
 impl StageId {
     /// These stages (where none is named, all that need not be asked for) and those that they need, in the order of the
@@ -561,7 +666,8 @@ mod tests {
         for &stage in StageId::ALL {
             let spec = stage.spec();
             let outside = (OUTSIDE.stage == stage).then_some(&OUTSIDE.output);
-            for output in spec.outputs.iter().chain(outside) {
+            let baselines = BASELINES.iter().filter(|own| own.score == stage).map(|own| &own.output);
+            for output in spec.outputs.iter().chain(outside).chain(baselines) {
                 assert!(spec.producers(output).all(|producer| producer < stage), "{stage}");
                 let known = |role: &&str| spec.inputs.iter().any(|input| input.role == *role);
                 assert!(output.skips.iter().all(known), "{stage} skips an unknown role");
@@ -588,9 +694,9 @@ mod tests {
 
     #[test]
     fn what_is_asked_for_brings_what_it_needs() {
-        use StageId::{Conditioning, Fit, Ingest, Lift, References, Refine, RobotMaps, Score};
+        use StageId::{Conditioning, Fit, Ingest, Lift, Lift4dgt, References, Refine, RobotMaps, Score};
         let unasked: Vec<StageId> = (StageId::ALL.iter().copied())
-            .filter(|&stage| stage != References && stage != Fit)
+            .filter(|&stage| ![References, Lift4dgt, Fit].contains(&stage))
             .collect();
         assert_eq!(StageId::with_producers(&[]), unasked);
         assert_eq!(StageId::with_producers(&[References]), [Ingest, RobotMaps, References]);

@@ -59,6 +59,7 @@ fn every_schema_version_stays_readable() {
     stays("references", &common::references());
     stays("agreement", &common::agreement());
     stays("field", &common::field());
+    stays("polynomial-field", &common::polynomial());
     stays("refinement", &common::refinement());
     stays("scores", &common::scores());
 }

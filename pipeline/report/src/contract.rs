@@ -17,10 +17,12 @@ pub(crate) fn signals(plan: &Plan, score: usize, sheet: &ScoreSheet, clip: &Clip
         .weights
         .iter()
         .find(|info| [OUTSIDE, OUTSIDE_SCALED].contains(&&*info.configuration));
-    let lift = (plan.upstream(score)).find(|&node| plan.nodes[node].stage == StageId::Lift);
+    let mut upstream = plan.upstream(score).map(|node| &plan.nodes[node]);
+    let lift = upstream.find(|node| [StageId::Lift, StageId::Lift4dgt].contains(&node.stage));
     let own = match (outside, lift) {
         (Some(info), _) => Own::outside((info.configuration == OUTSIDE_SCALED).then(|| scale_only(sheet, clip))),
-        (None, Some(lift)) => Own::lifted(&plan.nodes[lift].params, clip, &scale_only(sheet, clip)),
+        (None, Some(lift)) if lift.stage == StageId::Lift4dgt => Own::by_4dgt(&lift.params, clip),
+        (None, Some(lift)) => Own::lifted(&lift.params, clip, &scale_only(sheet, clip)),
         (None, None) => Own::outside(None),
     };
     let tracked = sheet.references.iter().any(|used| used.kind == ReferenceKind::Tracks);
@@ -93,6 +95,22 @@ impl Own {
             mesh: NOT_TOLD.to_owned(),
             stereo: scaled.unwrap_or_else(|| NOT_TOLD.to_owned()),
             fitting: NOT_TOLD.to_owned(),
+        }
+    }
+
+    /// 4DGT sees images alone, all of a camera or those at the source times.
+    fn by_4dgt(params: &Value, clip: &Clip) -> Self {
+        let frames = match params.get("frames").and_then(Value::as_str) {
+            Some("source") => clip.source_frames.len(),
+            _ => clip.frame_count(),
+        };
+        let no = || "no".to_owned();
+        Self {
+            visual: format!("{frames} / camera"),
+            states: no(),
+            mesh: no(),
+            stereo: no(),
+            fitting: no(),
         }
     }
 
@@ -192,5 +210,8 @@ mod tests {
         let analytic = Own::lifted(&json!({"robot_motion": "kinematics"}), &clip(), SCALE_ONLY);
         assert_eq!(analytic.states, "anchoring, FK, analytic FK motion");
         assert_eq!(Own::outside(Some(SCALE_ONLY.to_owned())).stereo, SCALE_ONLY);
+        assert_eq!(Own::by_4dgt(&json!({}), &clip()).visual, "17 / camera");
+        let few = Own::by_4dgt(&json!({"frames": "source"}), &clip());
+        assert_eq!((few.visual.as_str(), few.stereo.as_str()), ("3 / camera", "no"));
     }
 }

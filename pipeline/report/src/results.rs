@@ -13,10 +13,10 @@ use rogs_r4c::read_record;
 use rogs_schemas::CacheKey;
 use rogs_schemas::ledger::Attempt;
 use rogs_schemas::records::agreement::Agreements;
-use rogs_schemas::records::clip::{Clip, ROLLOUT};
+use rogs_schemas::records::clip::{Clip, RECORDED, ROLLOUT};
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
 use rogs_score::cohort::CohortCounts;
-use rogs_score::tables::{MethodSignals, Table, TableId, TableInput, TableOptions, table};
+use rogs_score::tables::{MethodSignals, MissingScores, Table, TableId, TableInput, TableOptions, table};
 use rogs_score::timing::ClipTiming;
 use serde_json::Value;
 
@@ -38,6 +38,8 @@ pub struct RunResults {
     agreements: Vec<Agreements>,
     /// What every method was given, by the first clip that has scores of it.
     signals: BTreeMap<(String, String), MethodSignals>,
+    /// Clips that a method has no scores of, because something of its own failed.
+    missing: Vec<MissingScores>,
 }
 
 /// What there is of one clip.
@@ -82,6 +84,7 @@ impl RunResults {
             timings: Vec::new(),
             agreements: Vec::new(),
             signals: BTreeMap::new(),
+            missing: Vec::new(),
             plan,
         };
         for index in 0..results.plan.clips.len() {
@@ -92,6 +95,7 @@ impl RunResults {
                 clip.failures.push(failure);
             }
         }
+        results.missing = missing(&results.plan, &results.clips);
         keep_some_timings(&mut results.timings);
         Ok(results)
     }
@@ -172,6 +176,7 @@ impl RunResults {
         self.sheets.extend(other.sheets);
         self.timings.extend(other.timings);
         self.agreements.extend(other.agreements);
+        self.missing.extend(other.missing);
         for (name, signals) in other.signals {
             self.signals.entry(name).or_insert(signals);
         }
@@ -191,6 +196,7 @@ impl RunResults {
             cohort: cohort.or(self.plan.selection.as_ref().map(|own| &own.counts)),
             signals: &signals,
             agreements: &self.agreements,
+            missing: &self.missing,
         };
         table(id, &input, options).map_err(|error| Error::usage(error.to_string()))
     }
@@ -218,6 +224,47 @@ fn field_file(plan: &Plan, node_index: usize, path: PathBuf) -> FieldFile {
         of_rollout: ingests.any(|own| is_rollout(&plan.nodes[own].params)),
         main,
     }
+}
+
+/// What failed of a method alone, by clip: what it reads besides the clip and its robot, which all methods read.
+fn missing(plan: &Plan, clips: &[ClipResults]) -> Vec<MissingScores> {
+    let mut missing = Vec::new();
+    for (index, node) in plan.nodes.iter().enumerate() {
+        let method = node.params.get("method").and_then(Value::as_str);
+        let Some(method) = method.filter(|_| node.stage == StageId::Score) else {
+            continue;
+        };
+        // Inputs come first in a plan, so one pass backwards finds all that it reads.
+        let mut read = vec![false; plan.nodes.len()];
+        read[index] = true;
+        for other in (0..=index).rev() {
+            if read[other] {
+                plan.upstream(other).for_each(|upstream| read[upstream] = true);
+            }
+        }
+        let (mut own, mut setting) = (Vec::new(), RECORDED);
+        for (other, _) in read.iter().enumerate().filter(|(_, read)| **read) {
+            let other = &plan.nodes[other];
+            match other.stage {
+                StageId::Ingest if is_rollout(&other.params) => setting = ROLLOUT,
+                StageId::Ingest | StageId::RobotMaps => {}
+                _ => own.push(other.label.as_str()),
+            }
+        }
+        for clip in clips {
+            let failure = clip
+                .failures
+                .iter()
+                .find(|failure| own.contains(&failure.node.as_str()));
+            missing.extend(failure.map(|failure| MissingScores {
+                setting: setting.to_owned(),
+                method: method.to_owned(),
+                clip: clip.id.clone(),
+                reason: failure.failure.message.clone(),
+            }));
+        }
+    }
+    missing
 }
 
 /// Whether the parameters of an ingest node ask for a rollout.

@@ -17,8 +17,7 @@ fn tables(options: TableOptions) -> Vec<Table> {
         sheets: &sheets,
         timings: &timings,
         cohort: Some(&COHORT),
-        signals: &[],
-        agreements: &[],
+        ..TableInput::default()
     };
     let make = |id| table(id, &input, options).unwrap();
     TableId::ALL.map(make).to_vec()

@@ -11,10 +11,10 @@ use burn::tensor::{Device, Tensor};
 use glam::DVec3;
 use rogs_geometry::Pose;
 use rogs_kernels::RotaryTable;
-use rogs_stage1::block::{Block, BlockKind};
 use rogs_stage1::{Attention, Encoded, HeadKind, NetworkCamera, Precision, SourceFrames, Stage1, Stage1Config, seeded};
 use rogs_tensors::ops::Rotary;
 use rogs_tensors::parameters::from_host;
+use rogs_vit::{Block, BlockKind};
 
 const FRAMES: usize = 15;
 const SIZE: [usize; 2] = [154, 280];

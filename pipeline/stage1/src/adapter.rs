@@ -3,12 +3,11 @@
 
 use burn::tensor::Tensor;
 
-use super::block::{Block, BlockKind};
-use super::encoder::patch_projection;
 use crate::{Error, Result};
 use rogs_kernels::RotaryTable;
 use rogs_tensors::ops::{LayerNorm, Rotary};
 use rogs_tensors::parameters::Scope;
+use rogs_vit::{Block, BlockKind, patch_projection};
 
 /// Channels of a latent.
 pub const LATENT_CHANNELS: usize = 48;

@@ -2,9 +2,7 @@
 
 use burn::tensor::Tensor;
 
-use super::block::{Block, BlockKind};
 use super::config::{POSE_NUMBERS, Stage1Config};
-use super::encoder::patch_projection;
 use super::frames::Attention;
 use super::geometry::{NetworkCamera, encode_time, ray_maps};
 use super::positions::token_positions;
@@ -12,6 +10,7 @@ use crate::{Error, Result};
 use rogs_kernels::{Precision, RotaryTable};
 use rogs_tensors::ops::{self, Linear, Rotary};
 use rogs_tensors::parameters::{Parameters, from_host};
+use rogs_vit::{Block, BlockKind, patch_projection};
 
 /// What the blocks of a clip need to know about its tokens.
 pub struct TokenLayout {

@@ -1,5 +1,6 @@
 //! Sizes of the Stage-1 network. One code path serves every configuration.
 
+use rogs_vit::{EncoderSizes, PositionGrid};
 use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
@@ -221,13 +222,21 @@ impl Stage1Config {
     /// # Errors
     /// When the image is not a whole number of patches.
     pub fn grid(&self, height: usize, width: usize) -> Result<[usize; 2]> {
-        if height == 0 || width == 0 || !height.is_multiple_of(self.patch) || !width.is_multiple_of(self.patch) {
-            let patch = self.patch;
-            return Err(Error::BadInput(format!(
-                "images of {height}x{width} pixels are not a whole number of {patch}-pixel patches"
-            )));
+        self.encoder().grid(height, width)
+    }
+
+    /// Sizes of the image encoder.
+    #[must_use]
+    pub fn encoder(&self) -> EncoderSizes {
+        EncoderSizes {
+            width: self.width,
+            heads: self.heads,
+            patch: self.patch,
+            blocks: self.encoder_blocks,
+            position_grid: self.position_grid,
+            registers: self.registers,
+            positions: PositionGrid::Antialiased,
         }
-        Ok([height / self.patch, width / self.patch])
     }
 }
 

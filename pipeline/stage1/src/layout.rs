@@ -4,48 +4,7 @@ use super::config::{CELL, HeadKind, POSE_NUMBERS, SPLAT_CHANNELS, Stage1Config};
 use super::{adapter, stem, sweep};
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 use rogs_weights::ParameterSource;
-
-/// How a parameter starts when no checkpoint gives it (`docs/spec/stage1.md`, appendix).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Initial {
-    /// All equal.
-    Constant(f32),
-    /// Normal with mean 0.
-    Normal {
-        /// Standard deviation.
-        std: f32,
-    },
-    /// Uniform in plus or minus 1 / sqrt(fan in), the default of linear and convolution layers in PyTorch.
-    Uniform {
-        /// Inputs that feed one output.
-        fan_in: usize,
-    },
-}
-
-/// A parameter of the network.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ParameterSpec {
-    /// Name in the checkpoint.
-    pub name: String,
-    /// Shape.
-    pub shape: Vec<usize>,
-    /// Initial values.
-    pub initial: Initial,
-}
-
-impl ParameterSpec {
-    /// Number of values.
-    #[must_use]
-    pub fn len(&self) -> usize {
-        self.shape.iter().product()
-    }
-
-    /// True when the shape has no value.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-}
+pub use rogs_weights::{Initial, ParameterSpec};
 
 /// The parameters of the network in this configuration: those of the released one (1,478 in `full`), and the stem's where
 /// there is one.

@@ -5,7 +5,6 @@
 
 pub mod adapter;
 pub mod aggregator;
-pub mod block;
 pub mod checkpoint;
 pub mod config;
 pub mod decode;

@@ -1,25 +1,4 @@
-//! Position embeddings: the learned grid of the image encoder, rotary tables, and the sine map of the dense heads.
-
-use rogs_kernels::cubic_taps;
-
-/// Resamples the learned position embedding of a square grid to `rows x columns` with antialiased bicubic weights (kernel
-/// parameter -0.5), as a matrix, so that gradients reach the learned grid: `[rows * columns, side^2]`.
-#[must_use]
-pub fn resampling_matrix(side: usize, [rows, columns]: [usize; 2]) -> Vec<f32> {
-    let [row_taps, column_taps] = [rows, columns].map(|count| cubic_taps::<f32>(side, count, 0, count));
-    let mut matrix = vec![0.0f32; rows * columns * side * side];
-    for (row, down) in row_taps.iter().enumerate() {
-        for (column, across) in column_taps.iter().enumerate() {
-            let out = &mut matrix[(row * columns + column) * side * side..][..side * side];
-            for (i, &row_weight) in down.weights.iter().enumerate() {
-                for (j, &column_weight) in across.weights.iter().enumerate() {
-                    out[(down.start + i) * side + across.start + j] = row_weight * column_weight;
-                }
-            }
-        }
-    }
-    matrix
-}
+//! Position embeddings: those of rotary tables, and the sine map of the dense heads.
 
 /// Positions of a frame's tokens: (0, 0) for the special ones, (row + 1, column + 1) for patches.
 #[must_use]

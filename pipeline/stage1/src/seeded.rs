@@ -5,7 +5,7 @@
 //! about one metre of depth, the pixel's own colour, opaque splats about a pixel wide, no motion.
 
 use super::config::{HeadKind, PREFIX, Stage1Config};
-use super::layout::{self, Initial, ParameterSpec};
+use super::layout::{self, ParameterSpec};
 use super::network::Stage1;
 use crate::Result;
 use burn::tensor::Device;
@@ -40,7 +40,7 @@ pub fn network(config: &Stage1Config, seed: u64, device: &Device) -> Result<Stag
 /// Initial values of one parameter.
 #[must_use]
 pub fn values(spec: &ParameterSpec, config: &Stage1Config, seed: u64) -> Vec<f32> {
-    let mut values = drawn(&spec.name, spec.len(), spec.initial, seed);
+    let mut values = spec.drawn(seed);
     let local = spec
         .name
         .strip_prefix(PREFIX)
@@ -144,81 +144,9 @@ fn pass_shortcut(local: &str, hidden: usize, values: &mut [f32]) {
     }
 }
 
-/// Values of a tensor from its distribution.
-fn drawn(name: &str, count: usize, initial: Initial, seed: u64) -> Vec<f32> {
-    let key = mix(seed ^ mix(hash(name.as_bytes())));
-    match initial {
-        Initial::Constant(value) => vec![value; count],
-        Initial::Uniform { fan_in } => {
-            let bound = 1.0 / (fan_in.max(1) as f64).sqrt();
-            (0..count as u64)
-                .map(|index| ((2.0 * unit(key, index) - 1.0) * bound) as f32)
-                .collect()
-        }
-        Initial::Normal { std } => {
-            // Box and Muller, the cosine branch only: one value per pair of counters.
-            let value = |index: u64| {
-                let radius = (-2.0 * libm::log(1.0 - unit(key, 2 * index))).sqrt();
-                (radius * libm::cos(std::f64::consts::TAU * unit(key, 2 * index + 1)) * f64::from(std)) as f32
-            };
-            (0..count as u64).map(value).collect()
-        }
-    }
-}
-
-/// A number in [0, 1) from a key and a counter.
-fn unit(key: u64, counter: u64) -> f64 {
-    (mix(key.wrapping_add(counter.wrapping_mul(0x9e37_79b9_7f4a_7c15))) >> 11) as f64 / (1u64 << 53) as f64
-}
-
-/// The finaliser of SplitMix64: a bijection of 64-bit numbers that passes statistical tests on counters.
-fn mix(value: u64) -> u64 {
-    let value = (value ^ (value >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let value = (value ^ (value >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    value ^ (value >> 31)
-}
-
-/// FNV-1a.
-fn hash(bytes: &[u8]) -> u64 {
-    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, &byte| {
-        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn moments(values: &[f32]) -> (f64, f64) {
-        let mean = values.iter().map(|&value| f64::from(value)).sum::<f64>() / values.len() as f64;
-        let variance = values
-            .iter()
-            .map(|&value| (f64::from(value) - mean).powi(2))
-            .sum::<f64>()
-            / values.len() as f64;
-        (mean, variance.sqrt())
-    }
-
-    #[test]
-    fn draws_have_the_moments_of_their_distribution() {
-        let (mean, std) = moments(&drawn("a", 100_000, Initial::Normal { std: 0.02 }, 7));
-        assert!(mean.abs() < 3e-4 && (std / 0.02 - 1.0).abs() < 0.02, "{mean} {std}");
-        let uniform = drawn("a", 100_000, Initial::Uniform { fan_in: 16 }, 7);
-        let (mean, std) = moments(&uniform);
-        assert!(
-            mean.abs() < 2e-3 && (std / (0.25 / 3f64.sqrt()) - 1.0).abs() < 0.02,
-            "{mean} {std}"
-        );
-        assert!(uniform.iter().all(|value| value.abs() <= 0.25));
-    }
-
-    #[test]
-    fn tensors_differ_by_name_and_by_seed() {
-        let draw = |name, seed| drawn(name, 8, Initial::Normal { std: 1.0 }, seed);
-        assert_eq!(draw("a", 1), draw("a", 1));
-        assert_ne!(draw("a", 1), draw("b", 1));
-        assert_ne!(draw("a", 1), draw("a", 2));
-    }
 
     #[test]
     fn compact_has_laptop_size() {

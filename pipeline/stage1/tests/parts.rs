@@ -10,10 +10,11 @@ use rogs_kernels::RotaryTable;
 use rogs_needs::needs;
 use rogs_stage1::adapter::{LatentAdapter, to_token_cells};
 use rogs_stage1::geometry::encode_time;
-use rogs_stage1::positions::{head_positions, resampling_matrix};
+use rogs_stage1::positions::head_positions;
 use rogs_stage1::{Attention, HeadKind, Stage1, decode, distillation};
 use rogs_tensors::ops::{Linear, Rotary, standardise};
 use rogs_tensors::parameters::{Parameters, from_host};
+use rogs_vit::{PositionGrid, resampling_matrix};
 use support::{Golden, close, host, tiny};
 
 #[test]
@@ -72,7 +73,11 @@ fn dino_pos_interp() {
         let width = golden.shape(table)[2];
         let table = golden.values(table);
         let device = Device::flex();
-        let matrix: Tensor<2> = from_host(resampling_matrix(side, grid), [grid[0] * grid[1], side * side], &device);
+        let matrix: Tensor<2> = from_host(
+            resampling_matrix(side, grid, PositionGrid::Antialiased),
+            [grid[0] * grid[1], side * side],
+            &device,
+        );
         let grid_rows: Tensor<2> = from_host(table[width..].to_vec(), [side * side, width], &device);
         close(
             expected,

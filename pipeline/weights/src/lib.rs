@@ -14,6 +14,7 @@ mod open;
 #[cfg(feature = "pytorch")]
 mod pytorch;
 mod renamed;
+mod spec;
 mod verify;
 mod write;
 
@@ -24,6 +25,7 @@ pub use file::TensorFile;
 pub use header::{ElementType, StoredType, TensorEntry};
 pub use open::{EXTENSIONS, is_weights_file, open_any};
 pub use renamed::Renamed;
+pub use spec::{Initial, ParameterSpec, Seeded};
 pub use verify::{Verification, verify};
 pub use write::{TensorSource, write};
 

@@ -15,7 +15,14 @@ impl Renamed {
     /// Gives every tensor of a source the name that `rename` makes of its own.
     #[must_use]
     pub fn new(source: Box<dyn ParameterSource>, rename: impl Fn(&str) -> String) -> Self {
-        let names = source.names().into_iter().map(|name| (rename(name), name.to_owned()));
+        Self::chosen(source, |name| Some(rename(name)))
+    }
+
+    /// The tensors of a source that `rename` gives a name; the others are left aside.
+    #[must_use]
+    pub fn chosen(source: Box<dyn ParameterSource>, rename: impl Fn(&str) -> Option<String>) -> Self {
+        let names = source.names().into_iter();
+        let names = names.filter_map(|name| Some((rename(name)?, name.to_owned())));
         Self {
             names: names.collect(),
             source,

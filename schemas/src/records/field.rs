@@ -14,7 +14,8 @@ pub const RAW_CHANNELS: usize = 11;
 /// with `n = (s * H + row) * W + column`, and keeps that identity at all times.
 ///
 /// Lengths are metres in the reconstruction frame. The raw scale is a pre-activation whose activated value
-/// `min(0.3, 0.001 * softplus(raw))` is in internal units (`docs/spec/stage1.md` section 7).
+/// `min(cap, 0.001 * softplus(raw))` is in internal units (`docs/spec/stage1.md` section 7); the cap is 0.3 where
+/// [`Field::scale_cap_iu`] has none.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Field {
     /// The clip this belongs to.
@@ -39,7 +40,8 @@ pub struct Field {
     pub support: Vec<u8>,
     /// Link id of anchored Gaussians, `NO_LINK` elsewhere. `[N]`
     pub link: Vec<u8>,
-    /// Cap of each activated scale axis, internal units; infinite where there is none (the anchored footprint). `[N]`
+    /// Cap of each activated scale axis, internal units: the anchored footprint, or 0.3 of the unit that the Gaussian was
+    /// lifted in; infinite where it is the usual 0.3. `[N]`
     pub scale_cap_iu: Vec<f32>,
     /// The field at stored times, ascending in time.
     pub slices: Vec<TimeSlice>,

@@ -6,6 +6,7 @@ pub mod clip;
 pub mod conditioning;
 pub mod field;
 pub mod origin;
+pub mod polynomial;
 pub mod references;
 pub mod refinement;
 pub mod robot;

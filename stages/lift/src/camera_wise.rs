@@ -3,21 +3,22 @@
 //!
 //! A camera's poses are taken relative to its first source frame and divided by its scale, the mean distance of the valid
 //! back-projected stereo points of its source frames from that first camera. So the network sees the scene of unit size
-//! that it was released for. Its field then is multiplied by that scale and carried to the reconstruction frame. The depth
+//! that it was released for. Its field then is multiplied by that scale, the largest scale of a Gaussian with it, and carried
+//! to the reconstruction frame, where the camera must see the same as before ([`crate::parity`]). The depth
 //! is the clip's, which the references that the pipeline made complete; the field's label says what made it.
 
 use glam::{DQuat, DVec3};
-use rogs_field::attributes::rescaled;
+use rogs_field::attributes::{MAX_SCALE_IU, rescaled};
 use rogs_geometry::{Camera, Pose, Recon, Similarity, pixel_centre, quaternion_product, wxyz_f32};
 use rogs_schemas::CameraIndex;
-use rogs_schemas::records::clip::Clip;
+use rogs_schemas::records::clip::{Clip, time_of_frame};
 use rogs_schemas::records::field::{RAW_CHANNELS, TimeSlice};
 use rogs_schemas::units::UNITS_PER_METRE;
 use rogs_worker::{Part, StageError, StageResult};
 
 use crate::lifting::{Base, MotionHeads, lift_base};
 use crate::source::{Source, View};
-use crate::{Lifting, stage_error};
+use crate::{Lifting, parity, stage_error};
 
 /// From the lifting of one camera, in the frame of its first view and in its own unit, to the reconstruction frame.
 #[derive(Debug, Clone, Copy)]
@@ -60,8 +61,20 @@ pub(crate) fn lift(all: &mut Lifting<'_>, source: &Source<'_>) -> StageResult<Me
         })?;
         let heads = MotionHeads::load(network, alone.views.len()).map_err(stage_error)?;
         let mut slices = lifting.slices(&alone, &heads, &encoded, &base)?;
+        // Where the clip asks for the time of the first view, as all do that are scored, renders are compared.
+        let first = time_of_frame(alone.views[0].view.frame, source.clip.frame_count());
+        let audited = slices.iter().position(|slice| slice.time == first);
+        let own = audited.map(|at| parity::seen(&alone, &base, &slices[at], &alone.views[0]));
+        let own = own.transpose()?;
         transport.apply_to_base(&mut base);
         slices.iter_mut().for_each(|slice| transport.apply_to_slice(slice));
+        if let (Some(at), Some(own)) = (audited, own) {
+            let in_world = alone.placed_as(source);
+            let world = parity::seen(&in_world, &base, &slices[at], &in_world.views[0])?;
+            if let Some(warning) = parity::warning(&source.clip.cameras[camera.at()].id, &own, &world) {
+                lifting.observer.warn(warning);
+            }
+        }
         match &mut merged {
             None => merged = Some((base, slices)),
             Some((all, all_slices)) => {
@@ -169,6 +182,9 @@ impl Transport {
             point.copy_from_slice(&carried.as_vec3().to_array());
         }
         self.apply_to_raw(&mut base.raw);
+        // The largest scale is one of the camera's own unit.
+        base.scale_cap_iu
+            .fill((f64::from(MAX_SCALE_IU) * self.recon_from_first.scale) as f32);
     }
 
     fn apply_to_slice(&self, slice: &mut TimeSlice) {

@@ -11,6 +11,7 @@ pub mod latents;
 mod lifting;
 mod model;
 mod params;
+mod parity;
 mod query;
 mod rgb;
 mod source;
@@ -52,7 +53,7 @@ pub struct Lift {
 impl Stage for Lift {
     const NAME: &'static str = "lift";
     const SUMMARY: &'static str = "Lifts the source views of a clip to a time-queryable Gaussian field (Stage 1)";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const OUTPUT: SchemaId = <Field as Record>::SCHEMA;
     type Params = LiftParams;
 

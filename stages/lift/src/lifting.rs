@@ -5,6 +5,7 @@ use std::sync::OnceLock;
 use burn::tensor::{Device, Tensor};
 use rayon::prelude::*;
 use rogs_field::MotionGates;
+use rogs_field::attributes::MAX_SCALE_IU;
 use rogs_geometry::quaternion_product;
 use rogs_schemas::records::conditioning::{KAPPA_CHANNELS, plane};
 use rogs_schemas::records::field::{GATE_ATTRIBUTES, RAW_CHANNELS, TimeSlice};
@@ -86,7 +87,7 @@ pub(crate) fn lift_base(
                 base.support[gaussian] = 1;
                 base.link[gaussian] = view.map.link[pixel];
                 if let Some(pixels) = params.footprint_px {
-                    base.scale_cap_iu[gaussian] = pixels * depth / focal;
+                    base.scale_cap_iu[gaussian] = (pixels * depth / focal).min(MAX_SCALE_IU);
                 }
             }
         }

@@ -83,6 +83,19 @@ impl<'a> Source<'a> {
         })
     }
 
+    /// The same views where they stand in another gathering of the same clip.
+    pub(crate) fn placed_as(&self, other: &Source<'a>) -> Self {
+        let views = self.views.iter().map(|view| {
+            let same = other.views.iter().find(|own| own.view == view.view);
+            same.unwrap_or(view).clone()
+        });
+        Self {
+            views: views.collect(),
+            recon_from_base_iu: other.recon_from_base_iu,
+            ..*self
+        }
+    }
+
     /// Pixels of one image.
     pub(crate) fn area(&self) -> usize {
         self.clip.height as usize * self.clip.width as usize

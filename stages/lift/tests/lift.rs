@@ -388,6 +388,16 @@ fn camera_wise_fields_take_their_size_from_stereo_and_do_not_see_each_other() {
             assert!((2.0 * activated(&a[axis]) / activated(&b[axis]) - 1.0).abs() < 1e-3);
         }
     }
+    // The largest scale is 0.3 of the camera's unit, and not 0.3 internal units.
+    let caps = field.scale_cap_iu.iter().zip(&twice.scale_cap_iu);
+    assert!(
+        caps.clone()
+            .all(|(a, b)| a.is_finite() && (2.0 * a / b - 1.0).abs() < 1e-5)
+    );
+    assert!(
+        label.contains(&format!("wrist {:.4} m", field.scale_cap_iu[0] / (0.3 * 3.5))),
+        "{label}"
+    );
     // Another picture of the second camera changes nothing of the first.
     let mut other = with_depth(1.0);
     other.clip.cameras[1]
@@ -400,6 +410,24 @@ fn camera_wise_fields_take_their_size_from_stereo_and_do_not_see_each_other() {
     let first = 2 * AREA * 3;
     assert_eq!(field.position_m[..first], changed.position_m[..first]);
     assert_ne!(field.position_m[first..], changed.position_m[first..]);
+}
+
+/// The audit of camera-wise fields: in the world a camera sees what it saw in its own frame and unit.
+#[test]
+fn camera_wise_fields_look_the_same_in_the_world() {
+    #[derive(Default)]
+    struct Warnings(Vec<String>);
+    impl rogs_worker::Observer for Warnings {
+        fn warn(&mut self, warning: String) {
+            self.0.push(warning);
+        }
+    }
+    for size in [0.4, 1.0, 3.0] {
+        let mut heard = Warnings::default();
+        let inputs = with_depth(size);
+        lift_clip(&moving_model(), &camera_wise(), inputs.all(), &mut heard).unwrap();
+        assert_eq!(heard.0, Vec::<String>::new(), "{size}");
+    }
 }
 
 #[test]

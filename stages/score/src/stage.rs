@@ -11,6 +11,7 @@ use rogs_r4c::Record;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::{Field, WeightsInfo};
+use rogs_schemas::records::polynomial::PolynomialField;
 use rogs_schemas::records::references::References;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::records::robot::RobotMaps;
@@ -100,6 +101,7 @@ impl Stage for Score {
             InputDescription::optional("references", References::SCHEMA.name),
             InputDescription::optional("refinement", Refinement::SCHEMA.name),
             InputDescription::optional("fitted", Field::SCHEMA.name),
+            InputDescription::optional("polynomial", PolynomialField::SCHEMA.name),
             InputDescription::optional("predictions", "folder"),
             InputDescription::optional("lpips", "file"),
         ]
@@ -135,6 +137,7 @@ impl Stage for Score {
         }
         match self.params.prediction {
             Some(prediction) => self.run_outside(context, &clip, &robot, prediction),
+            None if context.optional_input("polynomial").is_some() => self.run_polynomial(context, &clip, &robot),
             None => self.run_own(context, &clip, &robot),
         }
     }
@@ -172,6 +175,25 @@ impl Score {
             (false, false) => "stage1",
         };
         let sheet = self.empty_sheet(clip, method, weights);
+        self.score(context, &scene, sheet)
+    }
+
+    /// Scores the field that 4DGT made here.
+    fn run_polynomial(&self, context: &mut Context<'_>, clip: &Clip, robot: &RobotMaps) -> StageResult<()> {
+        let field: PolynomialField = context.timed("read_field", |context| context.read("polynomial"))?;
+        if field.clip_id != clip.clip_id {
+            let message = format!("the field is of clip `{}`, not of `{}`", field.clip_id, clip.clip_id);
+            return Err(StageError::bad_input(message));
+        }
+        let sheet = self.empty_sheet(clip, "4dgt", field.weights);
+        let scene = Scene {
+            clip,
+            robot,
+            predictions: Predictions::Field(FieldSource::Outside(OutsideField::polynomial(
+                field.gaussians,
+                clip.fps,
+            ))),
+        };
         self.score(context, &scene, sheet)
     }
 

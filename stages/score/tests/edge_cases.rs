@@ -9,7 +9,7 @@ use rogs_schemas::FrameIndex;
 use rogs_schemas::records::scores::{ImageScore, RobotDepthScore, ScoreSheet, TrackScore};
 use rogs_score::metrics::{Pixels, RgbView, SsimVariant, bootstrap_interval, depth_scores, depth_support, psnr, ssim};
 use rogs_score::summary::{ImageMetric, Metric, SheetSet, clip_value};
-use rogs_score::tables::{Cell, TableId, TableInput, TableOptions, table};
+use rogs_score::tables::{Cell, MissingScores, TableId, TableInput, TableOptions, table};
 
 const RANGE_M: [f32; 2] = [0.1, 5.0];
 
@@ -164,6 +164,48 @@ fn a_method_with_missing_clips_says_how_many_it_has() {
         "{:?}",
         main.footnotes
     );
+}
+
+#[test]
+fn a_method_says_why_it_lacks_clips_even_where_it_lacks_all() {
+    let mut sheets = Vec::new();
+    for (method, clips) in [("stage1", ["a", "b", "c"].as_slice()), ("movies", &["a"])] {
+        sheets.extend(clips.iter().map(|clip| sheet(method, clip)));
+    }
+    let missing = |method: &str, clip: &str, reason: &str| MissingScores {
+        setting: "recorded".into(),
+        method: method.into(),
+        clip: clip.into(),
+        reason: reason.into(),
+    };
+    let missing = [
+        missing("movies", "b", "no stereo depth"),
+        missing("movies", "c", "no stereo depth"),
+        missing("4dgt", "a", "out of memory"),
+        missing("mine", "a", "nothing there"),
+    ];
+    let input = TableInput {
+        sheets: &sheets,
+        missing: &missing,
+        ..TableInput::default()
+    };
+    let options = TableOptions {
+        hide_empty_rows: true,
+        ..TableOptions::default()
+    };
+    let main = table(TableId::Main, &input, options).unwrap();
+    let rows: Vec<_> = main.rows.iter().map(|row| (row.label.as_str(), row.clips)).collect();
+    assert_eq!(rows, [("MoVieS", 1), ("4DGT", 0), ("Ours (Stage 1)", 3), ("mine", 0)]);
+    for expected in [
+        "Recorded observations, MoVieS: 1 of 3 clips; 2 clips such as b: no stereo depth",
+        "Recorded observations, 4DGT: 0 of 1 clips; a: out of memory",
+    ] {
+        assert!(
+            main.footnotes.iter().any(|note| note == expected),
+            "{:?}",
+            main.footnotes
+        );
+    }
 }
 
 #[test]

@@ -1,12 +1,12 @@
 //! Outside fields against values of their own public code.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
+use rogs_field::polynomial;
 use rogs_geometry::{Base, Camera, Pose, Similarity};
 use rogs_needs::{needs, shared};
 use rogs_schemas::RigidPose;
-use rogs_score::outside::{
-    MotionBasisField, MotionBasisParts, OutsideError, PolynomialField, mean_frame, merge, stereo_scale,
-};
+use rogs_schemas::records::polynomial::Polynomials;
+use rogs_score::outside::{MotionBasisField, MotionBasisParts, OutsideError, merge, stereo_scale};
 use rogs_splat::{Colour, Gaussians};
 use safetensors::SafeTensors;
 
@@ -16,15 +16,6 @@ fn f32s(file: &SafeTensors<'_>, name: &str) -> Vec<f32> {
         .data()
         .chunks_exact(4)
         .map(|b| f32::from_le_bytes(b.try_into().unwrap()))
-        .collect()
-}
-
-fn f64s(file: &SafeTensors<'_>, name: &str) -> Vec<f64> {
-    file.tensor(name)
-        .unwrap()
-        .data()
-        .chunks_exact(8)
-        .map(|b| f64::from_le_bytes(b.try_into().unwrap()))
         .collect()
 }
 
@@ -107,11 +98,11 @@ fn shape_of_motion_moves_its_gaussians_as_published() {
 
 #[needs(shared)]
 #[test]
-fn polynomial_fields_and_recentring_are_as_published() {
+fn polynomial_fields_are_as_published() {
     let bytes = std::fs::read(shared!("golden/baselines/4dgt_tiny.safetensors")).unwrap();
     let file = SafeTensors::deserialize(&bytes).unwrap();
     let features = f32s(&file, "gs.feature");
-    let field = PolynomialField {
+    let field = Polynomials {
         centre_m: f32s(&file, "gs.xyz"),
         time_s: f32s(&file, "gs.t"),
         variance_s2: f32s(&file, "gs.cov_t"),
@@ -126,8 +117,11 @@ fn polynomial_fields_and_recentring_are_as_published() {
     for at in 0..4 {
         let name = |part: &str| format!("eval{at}.{part}");
         let time = f32s(&file, &name("time"))[0];
-        centres = centres.max(worst(&field.centres_m(time).unwrap(), &f32s(&file, &name("all_means"))));
-        let state = field.at(time).unwrap();
+        centres = centres.max(worst(
+            &polynomial::centres_m(&field, time),
+            &f32s(&file, &name("all_means")),
+        ));
+        let state = polynomial::state_at(&field, time);
         let kept: Vec<u32> = file
             .tensor(&name("kept_index"))
             .unwrap()
@@ -144,29 +138,6 @@ fn polynomial_fields_and_recentring_are_as_published() {
     }
     println!("polynomials: centres {centres:.1e} m, rotations {quats:.1e}, other {rest:.1e}");
     assert!(centres < 1e-6 && quats < 1e-6 && rest < 1e-6);
-
-    let mut frame_error = 0.0f64;
-    for case in ["pose", "pose_fixed"] {
-        let poses: Vec<RigidPose> = f64s(&file, &format!("{case}.c2w")).chunks_exact(16).map(pose).collect();
-        let found = mean_frame(&poses).unwrap();
-        let expected = pose(&f64s(&file, &format!("{case}.avg")));
-        let pairs = found
-            .rotation
-            .iter()
-            .zip(&expected.rotation)
-            .chain(found.translation.iter().zip(&expected.translation));
-        frame_error = pairs.map(|(a, b)| (a - b).abs()).fold(frame_error, f64::max);
-    }
-    println!("recentring: {frame_error:.1e}");
-    assert!(frame_error < 1e-9);
-}
-
-/// The first three rows of a row-major matrix.
-fn pose(m: &[f64]) -> RigidPose {
-    RigidPose {
-        rotation: [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]],
-        translation: [m[3], m[7], m[11]],
-    }
 }
 
 #[test]

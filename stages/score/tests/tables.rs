@@ -77,8 +77,7 @@ fn make(id: TableId, sheets: &[ScoreSheet], timings: &[ClipTiming], options: Tab
             sheets,
             timings,
             cohort: Some(&COHORT),
-            signals: &[],
-            agreements: &[],
+            ..TableInput::default()
         },
         options,
     )
@@ -145,7 +144,6 @@ fn means_coverage_and_footnotes_of_the_main_table() {
     };
     assert_eq!(clips, CLIPS - 1, "the clip without tracks is left out of the mean");
     let notes = [
-        "MoVieS, SoM: by the paper's protocol one scale factor per camera from recorded source stereo depth",
         "Recorded observations: 40 clips, except SoM 37",
         "World-model rollouts: 40 clips, except SoM 37",
         "LPIPS: no LPIPS weights were given",
@@ -265,7 +263,7 @@ fn duplicates_are_refused_and_unknown_methods_shown() {
     let main = make(TableId::Main, &[one], &[], options);
     assert_eq!(
         main.rows.iter().map(|row| row.label.as_str()).collect::<Vec<_>>(),
-        ["mine"]
+        ["mine (seeded weights)"]
     );
     assert!(
         main.footnotes
@@ -288,10 +286,7 @@ fn tables_name_the_origin_of_every_reference() {
     let made = |id: TableId, sheets: &[ScoreSheet]| {
         let input = TableInput {
             sheets,
-            timings: &[],
-            cohort: None,
-            signals: &[],
-            agreements: &[],
+            ..TableInput::default()
         };
         table(id, &input, TableOptions::default()).unwrap()
     };

@@ -10,7 +10,7 @@ use rogs_schemas::robots::{PRESETS, preset};
 use super::{BOTH, MOST_WORKERS, Manifest, Setting, is_safe_name, parse_size};
 use crate::diagnose::{At, Text};
 use crate::error::Result;
-use crate::stage::StageId;
+use crate::stage::{BASELINES, BaselineSpec, StageId};
 
 /// Longest deadline of a unit, seconds: a year.
 const LONGEST_DEADLINE: f64 = 366.0 * 86_400.0;
@@ -144,10 +144,37 @@ impl Manifest {
                 return Err(text.error(at, format!("two predictions are named `{name}`")));
             }
         }
+        self.check_baselines(text, taken.into_iter().map(|(name, _)| name).collect())?;
         for (index, episode) in self.episodes.iter().enumerate() {
             if let Some(id) = episode.id.as_deref().filter(|id| !is_safe_name(id)) {
                 let at = At::key("episodes").item(index).then("id");
                 return Err(text.error(at, format!("invalid clip name `{id}`: {CHARACTERS}")));
+            }
+        }
+        Ok(())
+    }
+
+    /// Methods and names of baselines; `taken` are the names of predictions.
+    fn check_baselines(&self, text: &Text, mut taken: BTreeSet<String>) -> Result<()> {
+        taken.extend(self.variants.iter().map(|variant| variant.name.to_lowercase()));
+        for (index, baseline) in self.baselines.iter().enumerate() {
+            let at = At::key("baselines").item(index);
+            if BaselineSpec::by_method(&baseline.method).is_none() {
+                let message = format!("unknown baseline `{}`", baseline.method);
+                let known: Vec<&str> = BASELINES.iter().map(|spec| spec.method).collect();
+                let error = text.error(at.then("method"), message);
+                return Err(error.with_hint(format!(
+                    "these run here: {}; files of others are scored by [[predictions]] (docs/predictions.md)",
+                    known.join(", ")
+                )));
+            }
+            let (name, at) = (baseline.name(), at.then("name"));
+            if !is_safe_name(name) {
+                return Err(text.error(at, format!("invalid baseline name `{name}`: {CHARACTERS}")));
+            }
+            if !taken.insert(name.to_lowercase()) {
+                let error = text.error(at, format!("another baseline, variant or prediction is named `{name}`"));
+                return Err(error.with_hint("give it a `name` of its own"));
             }
         }
         Ok(())

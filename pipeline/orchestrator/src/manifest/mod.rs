@@ -90,6 +90,9 @@ pub struct Manifest {
     /// Methods whose predictions are files, scored beside the run by the same code.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub predictions: Vec<Prediction>,
+    /// Baselines of the paper that run here, beside the run above and on the same clips: own outputs, own rows.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub baselines: Vec<Baseline>,
     /// How the work is spread over this machine. Nothing here changes a result.
     #[serde(default)]
     pub executor: Executor,
@@ -230,6 +233,15 @@ pub struct Weights {
     /// Adapter that makes Stage-1 tokens of latents; read where `lift` has `tokens = "latents"`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub adapter: Option<PathBuf>,
+    /// Checkpoint of the baseline MoVieS, imported as Stage 1's; or `seeded`, random values that lift nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub movies: Option<Network>,
+    /// Checkpoint of the baseline 4DGT; or `seeded`.
+    #[serde(default, rename = "4dgt", skip_serializing_if = "Option::is_none")]
+    pub four_dgt: Option<Network>,
+    /// Checkpoint of the image encoder of 4DGT (DINOv2 ViT-B/14); or `seeded`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dinov2: Option<Network>,
 }
 
 /// Where the weights of a network come from.
@@ -255,7 +267,8 @@ pub enum Chosen<'a> {
 }
 
 const BUILTIN: &str = "builtin";
-const SEEDED: &str = "seeded";
+/// Random values in place of a file.
+pub(crate) const SEEDED: &str = "seeded";
 
 impl Network {
     fn chosen(&self) -> Chosen<'_> {
@@ -390,6 +403,31 @@ pub struct Prediction {
     pub score: Params,
 }
 
+/// A baseline of the paper that runs here. `docs/baselines.md` says what each needs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Baseline {
+    /// Which: `movies` or `4dgt`.
+    pub method: String,
+    /// Name of its rows in the tables (`[A-Za-z0-9._+-]{1,128}`, `+` stands for `/`). Default: the method.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Parameters of the stage that makes its field: of `lift` for MoVieS, of `lift-4dgt` for 4DGT.
+    #[serde(default, skip_serializing_if = "Map::is_empty")]
+    pub lift: Params,
+    /// Parameters of `score`.
+    #[serde(default, skip_serializing_if = "Map::is_empty")]
+    pub score: Params,
+}
+
+impl Baseline {
+    /// Name of its rows as the manifest writes it.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        self.name.as_deref().unwrap_or(&self.method)
+    }
+}
+
 /// How the work is spread over this machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
@@ -515,6 +553,8 @@ macro_rules! stage_tables {
                     StageId::Agreement => &self.agreement,
                     StageId::References => self.references.as_ref().unwrap_or(&NO_PARAMS),
                     StageId::Lift => &self.lift,
+                    // Its parameters are those of a baseline.
+                    StageId::Lift4dgt => &NO_PARAMS,
                     StageId::Refine => &self.refine,
                     StageId::Fit => self.fit.as_ref().unwrap_or(&NO_PARAMS),
                     StageId::Score => &self.score,
@@ -621,6 +661,9 @@ impl Weights {
             WeightsRole::Refine => self.refine.as_ref().map(Network::chosen),
             WeightsRole::Lpips => self.lpips.as_deref().map(Chosen::File),
             WeightsRole::Adapter => self.adapter.as_deref().map(Chosen::File),
+            WeightsRole::Movies => self.movies.as_ref().map(Network::chosen),
+            WeightsRole::FourDgt => self.four_dgt.as_ref().map(Network::chosen),
+            WeightsRole::Dinov2 => self.dinov2.as_ref().map(Network::chosen),
         }
     }
 }

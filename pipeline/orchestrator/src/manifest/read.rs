@@ -106,8 +106,11 @@ impl Manifest {
                 refine,
                 lpips,
                 adapter,
+                movies,
+                four_dgt,
+                dinov2,
             } = weights;
-            for network in [lift, refine].into_iter().flatten() {
+            for network in [lift, refine, movies, four_dgt, dinov2].into_iter().flatten() {
                 if let Network::File(path) = network {
                     fix(path);
                 }

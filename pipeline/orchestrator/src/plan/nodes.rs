@@ -12,10 +12,12 @@ use serde_json::{Map, Value};
 use super::model::{InputSource, Node, NodeInput, PlannedSource};
 use crate::diagnose::{At, Text, path_hint, shown};
 use crate::error::{Error, Result};
-use crate::manifest::{Chosen, Manifest, Params, Prediction, Setting, Variant};
+use crate::manifest::{Baseline, Chosen, Manifest, Params, Prediction, SEEDED, Setting, Variant};
 use crate::programs::StagePrograms;
 use crate::sources::SourceCache;
-use crate::stage::{Filled, OUTSIDE, Output, Outside, Provider, StageId, WeightsRole, When};
+use crate::stage::{
+    BASELINES, BaselineSpec, Filled, Fixed, OUTSIDE, Output, Outside, Provider, StageId, WeightsRole, When,
+};
 
 /// Makes the nodes of the run, of its variants, and of outside methods. What variants have in common is one node.
 ///
@@ -67,10 +69,24 @@ pub(super) fn make_nodes(
             builder.add_outside(chain, method, main)?;
         }
     }
+    for (index, baseline) in manifest.baselines.iter().enumerate() {
+        let Some(spec) = BaselineSpec::by_method(&baseline.method) else {
+            continue;
+        };
+        for (setting, beside, main) in &mains {
+            let chain = Chain {
+                column: Column::Baseline(index, baseline, spec),
+                setting: *setting,
+                beside: *beside,
+            };
+            builder.add_baseline(chain, baseline, spec, main)?;
+        }
+    }
     Ok(builder.nodes)
 }
 
-/// The stages to run, with those they need: what `[run] stages` names, and what a table asks for where a stage reads it.
+/// The stages to run, with those they need: what `[run] stages` names, what baselines read, and what a table asks for
+/// where a stage reads it.
 fn wanted(manifest: &Manifest) -> Vec<StageId> {
     let mut wanted = StageId::with_producers(&manifest.run.stages);
     match manifest.run.agreement {
@@ -81,6 +97,11 @@ fn wanted(manifest: &Manifest) -> Vec<StageId> {
         Some(true) => wanted.push(StageId::Agreement),
         None => {}
     }
+    for spec in (manifest.baselines.iter()).filter_map(|own| BaselineSpec::by_method(&own.method)) {
+        let outputs = spec.lift.spec().outputs.iter();
+        wanted.extend(outputs.flat_map(|output| spec.lift.spec().producers(output)));
+    }
+    let scored = !manifest.baselines.is_empty();
     let asks = |stage| manifest.asks(stage) || manifest.variants.iter().any(|variant| variant.asks(stage));
     // A stage that reads it under a condition reads it where some column meets that.
     let reads = |reader: &StageId, stage| {
@@ -95,7 +116,8 @@ fn wanted(manifest: &Manifest) -> Vec<StageId> {
         inputs.any(|input| input.when.as_ref().is_none_or(met))
     };
     for &stage in StageId::ALL.iter().filter(|stage| stage.spec().asked) {
-        if asks(stage) && wanted.iter().any(|reader| reads(reader, stage)) {
+        let scores = BASELINES.iter().any(|spec| reads(&spec.score, stage));
+        if asks(stage) && (wanted.iter().any(|reader| reads(reader, stage)) || scored && scores) {
             wanted.push(stage);
         }
     }
@@ -114,6 +136,8 @@ enum Column<'a> {
     Variant(usize, &'a Variant),
     /// One of `[[predictions]]`, by its index.
     Outside(usize, &'a Prediction),
+    /// One of `[[baselines]]`, by its index.
+    Baseline(usize, &'a Baseline, &'static BaselineSpec),
 }
 
 /// The nodes of a column that reconstruct the same kind of observations.
@@ -146,6 +170,11 @@ impl<'a> Column<'a> {
             Column::Main => At::key(stage.name()),
             Column::Variant(index, _) => At::key("variants").item(index).then(stage.name()),
             Column::Outside(index, _) => At::key("predictions").item(index).then(stage.name()),
+            Column::Baseline(index, _, spec) => {
+                // Whatever stage makes the field, its parameters have one name.
+                let table = if stage == spec.lift { StageId::Lift } else { stage }.name();
+                At::key("baselines").item(index).then(table)
+            }
         }
     }
 
@@ -155,6 +184,7 @@ impl<'a> Column<'a> {
             Column::Main => None,
             Column::Variant(_, variant) => Some(&variant.name),
             Column::Outside(_, method) => Some(&method.name),
+            Column::Baseline(_, baseline, _) => Some(baseline.name()),
         }
     }
 
@@ -308,7 +338,7 @@ impl<'a> Builder<'a> {
     fn asked_by(&self, column: Column<'_>, stage: StageId) -> bool {
         let variant = match column {
             Column::Variant(_, variant) => variant.asks(stage),
-            Column::Main | Column::Outside(..) => false,
+            Column::Main | Column::Outside(..) | Column::Baseline(..) => false,
         };
         variant || self.manifest.asks(stage) || self.manifest.run.stages.contains(&stage)
     }
@@ -321,7 +351,7 @@ impl<'a> Builder<'a> {
             let message = format!("`{}` is not a folder", method.root.display());
             let at = match chain.column {
                 Column::Outside(index, _) => At::key("predictions").item(index).then("root"),
-                Column::Main | Column::Variant(..) => At::key("predictions"),
+                Column::Main | Column::Variant(..) | Column::Baseline(..) => At::key("predictions"),
             };
             let error = self.text.error(at, message);
             return Err(error.with_hint("it holds one folder a clip, named by the clip's id (`rogs status RUN`)"));
@@ -333,6 +363,73 @@ impl<'a> Builder<'a> {
         overlay(&mut params, &serde_json::json!({ *options: method.options() }));
         let node = self.node(stage, output, chain, params, main)?;
         self.nodes.push(node);
+        Ok(())
+    }
+
+    /// Adds the nodes that make and score the field of a baseline.
+    fn add_baseline(
+        &mut self,
+        chain: Chain<'a>,
+        baseline: &'a Baseline,
+        spec: &'static BaselineSpec,
+        main: &Made,
+    ) -> Result<()> {
+        for &(_, role) in spec.weights {
+            let given = self.manifest.weights.get(role);
+            if given.is_none_or(|given| matches!(given, Chosen::Word(word) if word != SEEDED)) {
+                let at = match chain.column {
+                    Column::Baseline(index, ..) => At::key("baselines").item(index),
+                    _ => At::key("baselines"),
+                };
+                let (words, key) = (spec.words, role.key());
+                let error = self
+                    .text
+                    .error(at, format!("{words} needs weights: [weights] has no `{key}`"));
+                return Err(error.with_hint(format!(
+                    "name its imported checkpoint, {key} = \"FILE\" (docs/baselines.md); {key} = \"{SEEDED}\" runs it with random \
+                     values, which say nothing about {words}"
+                )));
+            }
+        }
+        let mut made = main.clone();
+        for (stage, given, fixed) in [
+            (spec.lift, &baseline.lift, spec.fixed),
+            (spec.score, &baseline.score, &[]),
+        ] {
+            let defaults = self.defaults(stage)?;
+            self.check_table(chain.at(stage), given, &defaults)?;
+            if let Some((name, _)) = fixed.iter().find(|(name, _)| given.contains_key(*name)) {
+                let message = format!(
+                    "`{name}` is part of what makes {} a baseline, and is not set",
+                    spec.words
+                );
+                return Err(self.text.error(chain.at(stage).then(name), message));
+            }
+            // What the run says of scoring holds for all that is scored; its own lifting is another method.
+            let mut params = Value::Object(match stage == spec.score {
+                true => self.manifest.params(stage).clone(),
+                false => Params::new(),
+            });
+            overlay(&mut params, &Value::Object(given.clone()));
+            for (name, value) in fixed {
+                let value = match value {
+                    Fixed::Word(word) => Value::from(*word),
+                    Fixed::Off => Value::from(false),
+                };
+                overlay(&mut params, &serde_json::json!({ *name: value }));
+            }
+            let outputs = stage.spec().outputs.iter();
+            let output = if stage == spec.score {
+                Some(&spec.output)
+            } else {
+                outputs.into_iter().next()
+            };
+            if let Some(output) = output {
+                let node = self.node(stage, output, chain, params, &made)?;
+                let node = self.add(node);
+                made.insert(stage, node);
+            }
+        }
         Ok(())
     }
 
@@ -391,7 +488,7 @@ impl<'a> Builder<'a> {
             inputs,
             variants: vec![match chain.column {
                 Column::Variant(index, _) => index + 1,
-                Column::Main | Column::Outside(..) => 0,
+                Column::Main | Column::Outside(..) | Column::Baseline(..) => 0,
             }],
         })
     }
@@ -403,6 +500,7 @@ impl<'a> Builder<'a> {
         };
         let message = match column {
             Column::Outside(_, method) => format!("`{}`: {message}", method.name),
+            Column::Baseline(_, baseline, _) => format!("`{}`: {message}", baseline.name()),
             Column::Main | Column::Variant(..) => message,
         };
         let error = self.text.error(column.at(stage), message);
@@ -477,7 +575,7 @@ impl<'a> Builder<'a> {
             Some(Provider::Rollout) => self.rollouts()?,
             Some(Provider::Predictions) => match chain.column {
                 Column::Outside(index, _) => Some(InputSource::Prediction(index as u32)),
-                Column::Main | Column::Variant(..) => None,
+                Column::Main | Column::Variant(..) | Column::Baseline(..) => None,
             },
             Some(Provider::Weights(of)) => self.weights(role, of, chain.column)?,
             Some(Provider::Stage(producer)) => made.get(&producer).map(|&node| InputSource::Node(node)),
@@ -492,7 +590,7 @@ impl<'a> Builder<'a> {
         if input.required {
             let message = match chain.column {
                 Column::Outside(..) => format!("predictions need the stage that makes `{role}`"),
-                Column::Main | Column::Variant(..) => {
+                Column::Main | Column::Variant(..) | Column::Baseline(..) => {
                     format!("nothing provides the input `{role}` of stage `{stage}`")
                 }
             };
@@ -518,9 +616,9 @@ impl<'a> Builder<'a> {
 
     /// A file of `[weights]`: the variant's own, else the run's.
     fn weights(&self, role: &str, of: WeightsRole, column: Column<'_>) -> Result<Option<InputSource>> {
-        let (chosen, table) = self.chosen_weights(of, column);
+        let (chosen, at) = self.chosen_weights(of, column);
         match chosen {
-            Some(Chosen::File(path)) => Ok(Some(self.source(role, path, table.then(of.key()))?)),
+            Some(Chosen::File(path)) => Ok(Some(self.source(role, path, at)?)),
             Some(Chosen::Word(_)) | None => Ok(None),
         }
     }
@@ -530,9 +628,13 @@ impl<'a> Builder<'a> {
         match column {
             Column::Variant(index, _) if self.manifest.variants[index].weights.get(of).is_some() => {
                 let own = self.manifest.variants[index].weights.get(of);
-                (own, At::key("variants").item(index).then("weights"))
+                (own, At::key("variants").item(index).then("weights").then(of.key()))
             }
-            _ => (self.manifest.weights.get(of), At::key("weights")),
+            Column::Baseline(_, _, spec) => {
+                let of = spec.weights_of(of);
+                (self.manifest.weights.get(of), At::key("weights").then(of.key()))
+            }
+            _ => (self.manifest.weights.get(of), At::key("weights").then(of.key())),
         }
     }
 

@@ -5,6 +5,7 @@ mod arrays;
 mod clip;
 mod conditioning;
 mod field;
+mod polynomial;
 mod references;
 mod refinement;
 mod robot;

@@ -14,6 +14,7 @@ use rogs_schemas::records::clip::{
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::field::{Field, NamedArray, RAW_CHANNELS, TimeSlice, WeightsInfo};
 use rogs_schemas::records::origin::{ReferenceKind, ReferenceOrigin, ReferenceUse};
+use rogs_schemas::records::polynomial::{PolynomialField, Polynomials};
 use rogs_schemas::records::references::{MadeDepth, References};
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
@@ -230,6 +231,39 @@ fn views() -> Vec<SourceView> {
             frame: FrameIndex(2),
         },
     ]
+}
+
+pub(crate) fn polynomial() -> PolynomialField {
+    let count = 2 * AREA;
+    let info = |configuration: &str| WeightsInfo {
+        trained: false,
+        configuration: configuration.into(),
+        description: "generated from seed 1".into(),
+        hash: String::new(),
+    };
+    PolynomialField {
+        clip_id: "clip".parse().unwrap(),
+        height: HEIGHT,
+        width: WIDTH,
+        views: [0, 2]
+            .map(|frame| SourceView {
+                camera: CameraIndex(1),
+                frame: FrameIndex(frame),
+            })
+            .to_vec(),
+        weights: vec![info("4DGT"), info("DINOv2")],
+        gaussians: Polynomials {
+            centre_m: floats(70, 3 * count),
+            time_s: floats(71, count),
+            variance_s2: floats(72, count),
+            velocity: floats(73, 12 * count),
+            angular: floats(74, 6 * count),
+            rotation: floats(75, 4 * count),
+            scale_m: floats(76, 3 * count),
+            opacity: floats(77, count),
+            rgb: floats(78, 3 * count),
+        },
+    }
 }
 
 pub(crate) fn references() -> References {

@@ -55,7 +55,8 @@ pub(super) fn to_latex(table: &Table) -> String {
     text
 }
 
-/// Whether a row has the best printed value of its column in its group. A single value is not the best of anything.
+/// Whether a row has the best printed value of its column in its group. A single value is not the best of anything, and
+/// rows of random weights are compared with nothing.
 fn is_best(table: &Table, row: &Row, column: usize) -> bool {
     let Some((heading, better)) = table.columns.get(column).and_then(|own| Some((own, own.better?))) else {
         return false;
@@ -65,11 +66,13 @@ fn is_best(table: &Table, row: &Row, column: usize) -> bool {
         let scale = 10f64.powi(heading.digits as i32);
         Some((value * scale).round())
     };
-    let Some(own) = rounded(row) else { return false };
+    let Some(own) = rounded(row).filter(|_| !row.untrained) else {
+        return false;
+    };
     let others: Vec<f64> = table
         .rows
         .iter()
-        .filter(|other| other.group == row.group)
+        .filter(|other| other.group == row.group && !other.untrained)
         .filter_map(rounded)
         .collect();
     let beats = |other: &f64| match better {

@@ -33,6 +33,7 @@ impl HostOperation<3> for LayerNorm {
             weight,
             bias,
             epsilon: self.epsilon,
+            centred: true,
         };
         let mut out = vec![0.0f32; input.len()];
         out.par_chunks_mut(TASK_ROWS * size)

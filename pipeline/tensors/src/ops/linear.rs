@@ -85,6 +85,15 @@ impl Linear {
         Ok(new(fold(weight, update), bias))
     }
 
+    /// Reads `weight` of a layer that has no bias.
+    ///
+    /// # Errors
+    /// When it is missing or has another shape.
+    pub fn load_unbiased(scope: &Scope<'_>, outputs: usize, inputs: usize) -> Result<Self> {
+        let weight = scope.get("weight", [outputs, inputs])?;
+        Ok(Self::new(weight, None).with_products(scope.products()))
+    }
+
     /// Applies the layer to the last dimension. `[..., in] -> [..., out]`
     #[must_use]
     pub fn forward<const D: usize>(&self, input: Tensor<D>) -> Tensor<D> {

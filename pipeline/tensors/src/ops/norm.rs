@@ -1,4 +1,4 @@
-//! Layer normalisation.
+//! Normalisation of rows: layer norm, and by the root mean square.
 
 use burn::tensor::{Tensor, module};
 use rayon::prelude::*;
@@ -7,12 +7,15 @@ use rogs_kernels::{Norm, vectorised};
 use crate::parameters::{Scope, from_host};
 use crate::{Result, differentiable, host};
 
-/// Layer normalisation over the last dimension, with its affine map.
+/// Layer normalisation over the last dimension, with its affine map; or division by the root mean square instead
+/// ([`LayerNorm::root_mean_square`]).
 #[derive(Debug, Clone)]
 pub struct LayerNorm {
     weight: Tensor<1>,
     bias: Tensor<1>,
     epsilon: f64,
+    /// Whether the mean comes off first.
+    centred: bool,
 }
 
 impl LayerNorm {
@@ -25,16 +28,47 @@ impl LayerNorm {
             weight: scope.get("weight", [size])?,
             bias: scope.get("bias", [size])?,
             epsilon,
+            centred: true,
+        })
+    }
+
+    /// A layer norm that scales and does not shift: `weight` of `size` numbers.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn scaling(scope: &Scope<'_>, size: usize, epsilon: f64) -> Result<Self> {
+        Ok(Self {
+            weight: scope.get("weight", [size])?,
+            bias: Tensor::zeros([size], scope.device()),
+            epsilon,
+            centred: true,
+        })
+    }
+
+    /// x / sqrt(mean of x^2 + epsilon) * `weight`, of `size` numbers.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn root_mean_square(scope: &Scope<'_>, size: usize, epsilon: f64) -> Result<Self> {
+        Ok(Self {
+            centred: false,
+            ..Self::scaling(scope, size, epsilon)?
         })
     }
 
     /// Applies the layer.
     #[must_use]
     pub fn forward<const D: usize>(&self, input: Tensor<D>) -> Tensor<D> {
+        let on_host = host::usable(&input) && host::usable(&self.weight);
+        if !(self.centred || on_host) {
+            let square = (input.clone() * input.clone()).mean_dim(D - 1);
+            let scaled = input / square.add_scalar(self.epsilon).sqrt();
+            return scaled * self.weight.clone().unsqueeze() + self.bias.clone().unsqueeze();
+        }
         if differentiable::usable(&input) {
             return differentiable::layer_norm(input, self.weight.clone(), self.bias.clone(), self.epsilon);
         }
-        if host::usable(&input) && host::usable(&self.weight) {
+        if on_host {
             return by_kernel(&input, &self.host());
         }
         module::layer_norm(input, self.weight.clone(), Some(self.bias.clone()), self.epsilon)
@@ -46,6 +80,7 @@ impl LayerNorm {
             weight: host::values(&self.weight),
             bias: host::values(&self.bias),
             epsilon: self.epsilon as f32,
+            centred: self.centred,
         }
     }
 }
@@ -55,6 +90,7 @@ pub(super) struct HostNorm {
     weight: Vec<f32>,
     bias: Vec<f32>,
     epsilon: f32,
+    centred: bool,
 }
 
 impl HostNorm {
@@ -64,6 +100,7 @@ impl HostNorm {
             weight: &self.weight,
             bias: &self.bias,
             epsilon: self.epsilon,
+            centred: self.centred,
         }
     }
 }
@@ -79,7 +116,13 @@ pub fn standardise<const D: usize>(input: Tensor<D>, epsilon: f64) -> Tensor<D> 
     }
     if host::usable(&input) {
         let (weight, bias, epsilon) = (vec![1.0; size], vec![0.0; size], epsilon as f32);
-        return by_kernel(&input, &HostNorm { weight, bias, epsilon });
+        let norm = HostNorm {
+            weight,
+            bias,
+            epsilon,
+            centred: true,
+        };
+        return by_kernel(&input, &norm);
     }
     module::layer_norm(input, ones, None, epsilon)
 }

@@ -67,7 +67,7 @@ pub(super) fn add_chained(
             let scale = scene.scales[3 * n + axis];
             let slope = match mode {
                 _ if scale >= field.scale_cap_iu[n] => 0.0,
-                ScaleResidual::PreActivation if scale >= MAX_SCALE_IU => 0.0,
+                ScaleResidual::PreActivation if field.scale_cap_iu[n].is_infinite() && scale >= MAX_SCALE_IU => 0.0,
                 ScaleResidual::PreActivation => SCALE_STEP_IU * sigmoid(raw[3 + axis] + shift[3 + axis]),
                 ScaleResidual::Linear if scale <= MIN_LINEAR_SCALE_IU => 0.0,
                 ScaleResidual::Linear => 1.0,

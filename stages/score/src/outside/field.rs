@@ -10,12 +10,14 @@ use std::path::{Path, PathBuf};
 use glam::Vec3;
 use rogs_arrays::ArrayFile;
 use rogs_field::ply::read_ply_file;
+use rogs_field::polynomial;
 use rogs_geometry::{Base, Camera, Frame, Pose, Similarity};
+use rogs_schemas::records::polynomial::Polynomials;
 use rogs_schemas::{CameraIndex, FrameIndex, WrittenPose};
 use rogs_splat::Gaussians;
 use serde::{Deserialize, Serialize};
 
-use crate::outside::{MotionBasisField, MotionBasisParts, OutsideError, PolynomialField, SampledField, merge};
+use crate::outside::{MotionBasisField, MotionBasisParts, OutsideError, SampledField, merge, read_polynomials};
 
 /// The frame that the fields of a method are given in. An array `base_from_field` (4x4) in a file goes before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
@@ -41,7 +43,7 @@ impl Frame for Left {
 enum Content {
     Ply(BTreeMap<FrameIndex, PathBuf>),
     Sampled(SampledField),
-    Polynomial(PolynomialField),
+    Polynomial(Polynomials),
     MotionBasis(MotionBasisField),
 }
 
@@ -103,6 +105,18 @@ impl OutsideField {
             }
         }
         Ok((!parts.is_empty()).then_some(Self { parts, fps }))
+    }
+
+    /// The field that 4DGT made in this pipeline: base frame, metres.
+    #[must_use]
+    pub fn polynomial(gaussians: Polynomials, fps: f64) -> Self {
+        let part = Part {
+            folder: PathBuf::new(),
+            content: Content::Polynomial(gaussians),
+            camera: None,
+            base_from_field: Pose::IDENTITY.into(),
+        };
+        Self { parts: vec![part], fps }
     }
 
     /// The source camera of every part; `None` for a field of all cameras.
@@ -172,7 +186,7 @@ impl Part {
             Content::Ply(files) => Ok((self.ply(files, frame)?, None)),
             Content::Sampled(field) => Ok((field.at(frame)?, None)),
             Content::Polynomial(field) => {
-                let state = field.at(seconds(frame, fps))?;
+                let state = polynomial::state_at(field, seconds(frame, fps));
                 Ok((state.gaussians, Some(state.kept)))
             }
             Content::MotionBasis(field) => Ok((field.at(frame.at())?, None)),
@@ -188,8 +202,8 @@ impl Part {
             }
             Content::Sampled(field) => field.displacement(from, to).map(Some),
             Content::Polynomial(field) => {
-                let all = field.displacement_m(seconds(from, fps), seconds(to, fps))?;
-                let kept = field.at(seconds(from, fps))?.kept;
+                let all = polynomial::displacement_m(field, seconds(from, fps), seconds(to, fps));
+                let kept = polynomial::state_at(field, seconds(from, fps)).kept;
                 let of = |index: u32| all[3 * index as usize..][..3].to_vec();
                 Ok(Some(kept.into_iter().flat_map(of).collect()))
             }
@@ -243,7 +257,7 @@ fn content(folder: &Path) -> Result<Option<Found>, OutsideError> {
     };
     let content = match path.file_stem().and_then(|stem| stem.to_str()) {
         Some("gaussians") => Content::Sampled(SampledField::read(&file)?),
-        Some("4dgt") => Content::Polynomial(PolynomialField::read(&file).map_err(named)?),
+        Some("4dgt") => Content::Polynomial(read_polynomials(&file)?),
         _ => Content::MotionBasis(MotionBasisField::new(MotionBasisParts::read(&file)?).map_err(named)?),
     };
     Ok(Some((content, own_pose(&file)?)))

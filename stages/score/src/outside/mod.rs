@@ -1,5 +1,4 @@
-//! Fields of outside methods, evaluated natively: 4DGT's polynomial Gaussians and Shape of Motion's motion bases, and
-//! the calibrated merging of camera-wise fields in the robot base frame.
+//! Fields of outside methods: 4DGT's polynomial Gaussians and Shape of Motion's motion bases, and the calibrated merging of camera-wise fields in the robot base frame.
 //!
 //! [`OutsideField`] and [`ImagePredictions`] read what a method left in a folder of files.
 //!
@@ -10,7 +9,6 @@ mod images;
 mod merge;
 mod motion_basis;
 mod polynomial;
-mod recentre;
 mod sampled;
 
 use std::path::{Path, PathBuf};
@@ -19,8 +17,7 @@ pub use field::{FieldFrame, OutsideField};
 pub use images::{CameraImages, ImagePredictions};
 pub use merge::{merge, stereo_scale};
 pub use motion_basis::{MotionBasisField, MotionBasisParts};
-pub use polynomial::{PolynomialField, PolynomialState};
-pub use recentre::mean_frame;
+pub use polynomial::read_polynomials;
 use rogs_schemas::FrameIndex;
 pub use sampled::SampledField;
 

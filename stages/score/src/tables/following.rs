@@ -95,6 +95,7 @@ fn row(
         label: label.to_owned(),
         method: label.to_owned(),
         clips: clips.count(),
+        untrained: false,
         cells: COLUMNS.into_iter().map(cell).collect(),
         published: &[],
     }

@@ -1,16 +1,21 @@
 //! What a reader must know of a measured table, one function a note.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
+use rogs_schemas::records::field::WeightsInfo;
 use rogs_schemas::records::origin::ReferenceKind;
 use rogs_schemas::records::scores::ScoreSheet;
 
 use crate::origins;
-use crate::summary::{OUTSIDE_SCALED, SheetSet};
+use crate::summary::{OUTSIDE, OUTSIDE_SCALED, SheetSet};
 use crate::tables::id::TableId;
+use crate::tables::input::{MissingScores, heading};
 use crate::tables::layout::{Layout, Origin};
 use crate::tables::table::Row;
 use crate::timing::{ClipTiming, peak_memory};
+
+/// Most reasons that a note gives.
+const MOST_REASONS: usize = 4;
 
 /// The notes below a table, in order.
 pub(crate) fn of(
@@ -18,6 +23,7 @@ pub(crate) fn of(
     layout: &Layout,
     set: &SheetSet<'_>,
     timings: &[ClipTiming],
+    missing: &[MissingScores],
     settings: &[&str],
     rows: &[Row],
 ) -> Vec<String> {
@@ -34,18 +40,26 @@ pub(crate) fn of(
     if let Some(count) = layout.first_clips {
         notes.push(format!("the first {count} clips of the cohort at most"));
     }
-    notes.extend(scaled_by_protocol(rows));
+    let ran_here = |row: &Row| {
+        let outside = |info: &WeightsInfo| [OUTSIDE, OUTSIDE_SCALED].contains(&info.configuration.as_str());
+        let weights = || sheets(&row.method).into_iter().flat_map(|sheet| &sheet.weights);
+        weights().next().is_some() && !weights().any(outside)
+    };
+    notes.extend(scaled_by_protocol(rows, ran_here));
     if id == TableId::Scale {
         notes.push("every depth image is scaled by the median ratio to its target; this diagnostic only".to_owned());
     }
     let here = rows
         .iter()
         .filter(|row| sheets(&row.method).into_iter().any(was_scaled));
-    notes.extend(
-        list(here.map(|row| row.label.as_str()))
-            .map(|labels| format!("{labels}: fields brought to metres here, by one source-depth factor per camera")),
-    );
+    notes.extend(list(here.map(|row| row.label.as_str())).map(|labels| {
+        format!(
+            "{labels}: fields brought to metres after they were made, by the median of source over rendered depth of \
+                     each camera; the paper scales before"
+        )
+    }));
     notes.extend(coverage(rows));
+    notes.extend(reasons(rows, missing));
     if has("LPIPS") {
         let reasons: BTreeSet<&str> = all.iter().filter_map(|sheet| sheet.lpips_note.as_deref()).collect();
         notes.extend(reasons.into_iter().map(|reason| format!("LPIPS: {reason}")));
@@ -82,14 +96,12 @@ fn list<'a>(names: impl Iterator<Item = &'a str>) -> Option<String> {
     (!names.is_empty()).then(|| names.into_iter().collect::<Vec<_>>().join(", "))
 }
 
-/// Methods of the paper whose own protocol has a scale factor.
-fn scaled_by_protocol(rows: &[Row]) -> Option<String> {
-    let shown = |method: &str| rows.iter().any(|row| row.method.split('/').next() == Some(method));
-    let scaled = [("movies", "MoVieS"), ("som", "SoM")]
-        .into_iter()
-        .filter(|(method, _)| shown(method));
-    list(scaled.map(|(_, label)| label)).map(|labels| {
-        format!("{labels}: by the paper's protocol one scale factor per camera from recorded source stereo depth")
+/// Methods that run here with one scale factor a camera, as the paper has it.
+fn scaled_by_protocol(rows: &[Row], ran_here: impl Fn(&Row) -> bool) -> Option<String> {
+    let of_movies = |row: &&Row| row.method.split('/').next() == Some("movies");
+    let labels = rows.iter().filter(of_movies).filter(|row| ran_here(row));
+    list(labels.map(|row| row.label.as_str())).map(|labels| {
+        format!("{labels}: one scale per camera, the mean distance of its source stereo points, before the network and undone after")
     })
 }
 
@@ -110,6 +122,47 @@ fn coverage(rows: &[Row]) -> Vec<String> {
         if !list.is_empty() {
             notes.push(format!("{group}: {most} clips, except {}", list.join(", ")));
         }
+    }
+    notes
+}
+
+/// Why rows lack clips: a note a row, the reasons by how many clips they kept away.
+fn reasons(rows: &[Row], missing: &[MissingScores]) -> Vec<String> {
+    let mut notes = Vec::new();
+    for row in rows {
+        let own = || {
+            let of_row = |one: &&MissingScores| one.method == row.method && heading(&one.setting) == row.group;
+            missing.iter().filter(of_row)
+        };
+        let count = own().count();
+        if count == 0 {
+            continue;
+        }
+        let mut counts: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+        for one in own() {
+            counts.entry(&one.reason).or_default().push(&one.clip);
+        }
+        let mut counts: Vec<(&str, Vec<&str>)> = counts.into_iter().collect();
+        counts.sort_by_key(|(_, clips)| std::cmp::Reverse(clips.len()));
+        let told = counts
+            .iter()
+            .take(MOST_REASONS)
+            .map(|(reason, clips)| match &clips[..] {
+                [one] => format!("{one}: {reason}"),
+                [first, ..] => format!("{} clips such as {first}: {reason}", clips.len()),
+                [] => String::new(),
+            });
+        let mut told: Vec<String> = told.collect();
+        if counts.len() > MOST_REASONS {
+            told.push(format!("{} more reasons", counts.len() - MOST_REASONS));
+        }
+        let (label, done) = (&row.label, row.clips);
+        let group = &row.group;
+        notes.push(format!(
+            "{group}, {label}: {done} of {} clips; {}",
+            done + count,
+            told.join("; ")
+        ));
     }
     notes
 }

@@ -20,6 +20,21 @@ pub struct TableInput<'a> {
     pub signals: &'a [MethodSignals],
     /// Whether the robot lies on the observations, where it was measured.
     pub agreements: &'a [Agreements],
+    /// Clips that a method has no scores of, and why.
+    pub missing: &'a [MissingScores],
+}
+
+/// A clip that a method has no scores of.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct MissingScores {
+    /// Setting, as in score sheets.
+    pub setting: String,
+    /// Method, as in score sheets.
+    pub method: String,
+    /// Clip.
+    pub clip: String,
+    /// Why, in words.
+    pub reason: String,
 }
 
 /// What a method was given in a setting, in words: one row of the table of inputs.

@@ -27,7 +27,7 @@ pub(crate) fn table(
     };
     let settings = builder.settings();
     let rows: Vec<Row> = settings.iter().flat_map(|setting| builder.rows(setting)).collect();
-    let footnotes = footnotes::of(id, layout, set, input.timings, &settings, &rows);
+    let footnotes = footnotes::of(id, layout, set, input.timings, input.missing, &settings, &rows);
     Table {
         id,
         title: layout.title,
@@ -77,17 +77,23 @@ impl<'a> Builder<'a> {
             // The paper's variants have tables of their own.
             let layouts = TableId::ALL.into_iter().filter_map(layout);
             let known: BTreeSet<&str> = layouts.flat_map(|layout| layout.rows).map(|key| key.method).collect();
-            let others = self
-                .set
-                .methods(setting)
-                .into_iter()
-                .filter(|method| !known.contains(method));
+            let mut methods: BTreeSet<&str> = self.set.methods(setting).into_iter().collect();
+            methods.extend(self.missing(setting));
+            let others = methods.into_iter().filter(|method| !known.contains(method));
             rows.extend(others.map(|method| self.row(setting, &row(method, method), &among)));
         }
         if self.options.hide_empty_rows {
-            rows.retain(|row| row.clips > 0);
+            // A method that failed on every clip is told, not hidden.
+            let failed: BTreeSet<&str> = self.missing(setting).collect();
+            rows.retain(|row| row.clips > 0 || failed.contains(row.method.as_str()));
         }
         rows
+    }
+
+    /// Methods that some clip of the setting has no scores of.
+    fn missing(&self, setting: &str) -> impl Iterator<Item = &'a str> {
+        let of_setting = self.input.missing.iter().filter(move |one| one.setting == setting);
+        of_setting.map(|one| one.method.as_str())
     }
 
     fn row(&self, setting: &str, key: &RowKey<'_>, among: &BTreeSet<&str>) -> Row {
@@ -102,11 +108,18 @@ impl<'a> Builder<'a> {
             own.retain(|clip| other.contains(clip));
         }
         let columns = self.layout.columns.iter();
+        let mut sheets = self.set.sheets(setting, key.method);
+        let untrained = sheets.any(|sheet| sheet.weights.iter().any(|weights| !weights.trained));
+        let label = match untrained {
+            true => format!("{} (seeded weights)", key.label),
+            false => key.label.to_owned(),
+        };
         Row {
             group: heading(setting),
-            label: key.label.to_owned(),
+            label,
             method: key.method.to_owned(),
             clips: own.len(),
+            untrained,
             cells: columns
                 .map(|(_, origin)| self.cell(setting, key, *origin, among))
                 .collect(),

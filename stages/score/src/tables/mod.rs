@@ -5,7 +5,7 @@
 //! | label | meaning |
 //! |---|---|
 //! | `stage1`, `stage1+2` | this method without and with refinement |
-//! | `movies`, `4dgt`, `som` | outside methods |
+//! | `movies`, `4dgt`, `som` | baselines, run here or as files of others |
 //! | `.../no-cross-camera` | each camera lifted alone |
 //! | `.../no-mesh`, `.../no-fk`, `.../no-mesh/no-fk` | without mesh anchoring, without FK conditioning, without both |
 //! | `.../analytic-fk` | robot motion by analytic FK transport |
@@ -29,5 +29,5 @@ mod words;
 
 pub use build::table;
 pub use id::{TableError, TableId};
-pub use input::{MethodSignals, NOT_TOLD, SCALE_ONLY, SIGNALS, TableInput, TableOptions, heading};
+pub use input::{MethodSignals, MissingScores, NOT_TOLD, SCALE_ONLY, SIGNALS, TableInput, TableOptions, heading};
 pub use table::{Better, Cell, Column, Row, Table};

@@ -68,6 +68,9 @@ pub struct Row {
     pub method: String,
     /// Clips of the method in the setting.
     pub clips: usize,
+    /// Made with seeded random weights: told in the label, and compared with nothing.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub untrained: bool,
     /// One cell a column.
     pub cells: Vec<Cell>,
     /// The paper's values as printed there, one a column, "" where it has none; empty when not asked for or not
@@ -83,6 +86,7 @@ impl Row {
             label: label.to_owned(),
             method: String::new(),
             clips: 0,
+            untrained: false,
             cells: Vec::new(),
             published: &[],
         }

@@ -82,6 +82,7 @@ fn row(timings: &[ClipTiming], setting: &str, label: &str, method: &str) -> Row 
         label: label.to_owned(),
         method: method.to_owned(),
         clips: own().filter(|timing| !timing.warmup).count(),
+        untrained: false,
         cells,
         published: &[],
     }

@@ -21,7 +21,9 @@ pub fn file(ending: &str, bytes: &[u8]) -> PathBuf {
 /// Reads a container as every record there is.
 pub fn records(path: &Path) {
     use rogs_r4c::read_record;
-    use rogs_schemas::records::{agreement, clip, conditioning, field, references, refinement, robot, scores};
+    use rogs_schemas::records::{
+        agreement, clip, conditioning, field, polynomial, references, refinement, robot, scores,
+    };
 
     let _ = read_record::<clip::Clip>(path);
     let _ = read_record::<robot::RobotMaps>(path);
@@ -29,6 +31,7 @@ pub fn records(path: &Path) {
     let _ = read_record::<references::References>(path);
     let _ = read_record::<agreement::Agreements>(path);
     let _ = read_record::<field::Field>(path);
+    let _ = read_record::<polynomial::PolynomialField>(path);
     let _ = read_record::<refinement::Refinement>(path);
     let _ = read_record::<scores::Scores>(path);
 }

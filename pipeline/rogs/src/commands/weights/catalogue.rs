@@ -22,7 +22,7 @@ pub(crate) struct PublicFile {
 }
 
 /// All of them.
-pub(crate) const PUBLIC_FILES: [PublicFile; 5] = [
+pub(crate) const PUBLIC_FILES: [PublicFile; 7] = [
     PublicFile {
         name: "movies",
         url: "https://huggingface.co/chenguolin/MoVieS/resolve/main/movies_ckpt.safetensors",
@@ -46,6 +46,22 @@ pub(crate) const PUBLIC_FILES: [PublicFile; 5] = [
         what: "ReSplat base, one Gaussian per pixel: error encoder and updater that Stage 2 starts from",
         next: "rogs weights import FILE --configuration resplat-re10k --out stage2.safetensors",
         licence: "see its repository",
+    },
+    PublicFile {
+        name: "4dgt",
+        url: "https://huggingface.co/projectaria/4DGT/resolve/main/4dgt_1st_stage.pth",
+        sha256: "",
+        what: "4DGT, first stage: the network of that baseline (404 million parameters; 4.9 GB with its optimiser)",
+        next: "rogs weights import FILE --configuration 4dgt --out 4dgt.safetensors",
+        licence: "CC BY-NC 4.0: not for commercial use",
+    },
+    PublicFile {
+        name: "dinov2",
+        url: "https://dl.fbaipublicfiles.com/dinov2/dinov2_vitb14/dinov2_vitb14_pretrain.pth",
+        sha256: "",
+        what: "DINOv2 ViT-B/14, the image encoder of 4DGT (87 million parameters)",
+        next: "rogs weights import FILE --configuration dinov2 --out dinov2.safetensors",
+        licence: "Apache-2.0",
     },
     PublicFile {
         name: "vgg16",

@@ -10,6 +10,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Context as _;
+use rogs_4dgt::{ENCODER, FOUR_DGT, FourDgtConfig, import_encoder, import_network};
 use rogs_stage1::Stage1Config;
 use rogs_stage1::{ImportRequest, generate_stage1, import_stage1, merge_lora};
 use rogs_stage2::{ReleasedImport, ReleasedModel, import_released};
@@ -35,7 +36,8 @@ enum What {
         /// Where the checkpoint goes.
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
-        /// Configuration whose tensors it must have: of Stage 1, or `resplat-re10k` for a released Stage-2 file.
+        /// Configuration whose tensors it must have: of Stage 1 (MoVieS too); `resplat-re10k` for a released Stage-2 file; `4dgt`
+        /// and `dinov2` for those of the baseline 4DGT.
         #[arg(long, default_value = "full")]
         configuration: String,
         /// How numbers are stored.
@@ -172,18 +174,21 @@ pub(crate) fn run(args: Args) -> anyhow::Result<ExitCode> {
                     provenance,
                     drop_unexpected,
                 };
-                let written = import_released(&request)?;
-                if json {
-                    output::json(&Imported {
-                        out,
-                        tensors: written,
-                        origin: None,
-                        from_a_seed: Vec::new(),
-                    })?;
-                } else {
-                    output::text(&format!("{written} tensors written to `{}`", out.display()))?;
-                }
-                return Ok(ExitCode::SUCCESS);
+                return written_tensors(import_released(&request)?, out, json);
+            }
+            if [FOUR_DGT, ENCODER].contains(&configuration.as_str()) {
+                let request = rogs_4dgt::import::ImportRequest {
+                    input: &input,
+                    output: &out,
+                    element: numbers.into(),
+                    provenance: &provenance,
+                    drop_unexpected,
+                };
+                let written = match configuration == FOUR_DGT {
+                    true => import_network(&request, &FourDgtConfig::full())?,
+                    false => import_encoder(&request)?,
+                };
+                return written_tensors(written, out, json);
             }
             let request = ImportRequest {
                 config: Stage1Config::by_name(&configuration)?,
@@ -286,6 +291,21 @@ pub(crate) fn run(args: Args) -> anyhow::Result<ExitCode> {
             json,
         } => return verify::run(&file, configuration.as_deref(), sha256.as_deref(), json),
         What::Fetch(args) => return fetch::run(&args),
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Says how many tensors were written.
+fn written_tensors(tensors: usize, out: PathBuf, json: bool) -> anyhow::Result<ExitCode> {
+    if json {
+        output::json(&Imported {
+            out,
+            tensors,
+            origin: None,
+            from_a_seed: Vec::new(),
+        })?;
+    } else {
+        output::text(&format!("{tensors} tensors written to `{}`", out.display()))?;
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -5,6 +5,9 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::{Context as _, bail};
+use rogs_4dgt::checkpoint::compare;
+use rogs_4dgt::import::encoder_sizes;
+use rogs_4dgt::{ENCODER, FOUR_DGT, FourDgtConfig, layout};
 use rogs_lpips::LpipsWeights;
 use rogs_stage1::Stage1Config;
 use rogs_stage1::import::ours;
@@ -26,6 +29,10 @@ enum Network {
     Stage1(Box<Stage1Config>),
     Released(ReleasedModel),
     Refiner(RefinerConfig),
+    /// The baseline 4DGT.
+    FourDgt(FourDgtConfig),
+    /// Its image encoder.
+    Encoder,
 }
 
 impl Network {
@@ -34,12 +41,19 @@ impl Network {
             Self::Stage1(config) => format!("Stage 1, configuration `{}`", config.name),
             Self::Released(model) => format!("a released ReSplat model, `{}`", model.name()),
             Self::Refiner(config) => format!("Stage 2, preset `{}`", config.name),
+            Self::FourDgt(config) => format!("4DGT, first stage, configuration `{}`", config.name),
+            Self::Encoder => "DINOv2 ViT-B/14, the image encoder of 4DGT".to_owned(),
         }
     }
 
     fn by_name(name: &str) -> anyhow::Result<Self> {
         if let Ok(model) = ReleasedModel::by_name(name) {
             return Ok(Self::Released(model));
+        }
+        match name {
+            FOUR_DGT => return Ok(Self::FourDgt(FourDgtConfig::full())),
+            ENCODER => return Ok(Self::Encoder),
+            _ => {}
         }
         if let Ok(config) = RefinerConfig::preset(name) {
             return Ok(Self::Refiner(config));
@@ -59,6 +73,15 @@ impl Network {
             let config =
                 serde_json::from_str(text).context("the configuration in its metadata cannot be understood")?;
             return Ok(Some(Self::Stage1(Box::new(config))));
+        }
+        if source.shape("linear_heads.ms3.0.weight").is_some() {
+            let own = metadata
+                .get(CONFIGURATION)
+                .and_then(|text| serde_json::from_str(text).ok());
+            return Ok(Some(Self::FourDgt(own.unwrap_or_else(FourDgtConfig::full))));
+        }
+        if source.shape("pos_embed").is_some() && source.shape("blocks.0.ls1.gamma").is_some() {
+            return Ok(Some(Self::Encoder));
         }
         let width = |name: &str| source.shape(name).and_then(|shape| shape.first().copied());
         if source.shape("backbone.encoder.patch_embed.proj.weight").is_some() {
@@ -91,6 +114,8 @@ impl Network {
         match self {
             Self::Stage1(config) => verify_stage1(source, config),
             Self::Released(model) => verify_released(source, *model),
+            Self::FourDgt(config) => compare(source, &layout::network(config)),
+            Self::Encoder => compare(source, &layout::encoder(&encoder_sizes(source))),
             Self::Refiner(config) => {
                 let mut report = rogs_weights::verify(source, &parameter_shapes(config));
                 report.unexpected.retain(|name| !name.ends_with(".num_batches_tracked"));
@@ -121,7 +146,12 @@ pub(super) fn run(
     } else {
         BTreeMap::new()
     };
-    let (source, origin) = ours(open_any(file).with_context(opening)?);
+    let (mut source, origin) = ours(open_any(file).with_context(opening)?);
+    // Files of 4DGT keep their tensors in a folder of their own, beside what their training left.
+    let is_4dgt = |name: &&str| name.contains("image_coder.") || *name == "mask_token";
+    if source.names().iter().any(is_4dgt) {
+        source = rogs_4dgt::import::ours(open_any(file).with_context(opening)?);
+    }
     let network = match configuration {
         Some(name) => Some(Network::by_name(name)?),
         None => Network::of(&source, &metadata)?,

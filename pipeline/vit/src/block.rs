@@ -1,4 +1,4 @@
-//! The pre-norm transformer block of the encoder (plain) and of the aggregator (QK norm and rotary).
+//! The pre-norm transformer block: plain in image encoders, with norms of queries and keys elsewhere.
 
 use burn::tensor::Tensor;
 
@@ -7,13 +7,24 @@ use rogs_kernels::Precision;
 use rogs_tensors::ops::{LayerNorm, Linear, Rotary, SelfAttention};
 use rogs_tensors::parameters::Scope;
 
-/// What distinguishes the blocks of the three parts of the network.
+/// How queries and keys are normalised, head by head.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum HeadNorm {
+    /// By a layer norm with the block's epsilon.
+    Layer,
+    /// By their root mean square, with an epsilon of its own.
+    RootMeanSquare(f64),
+}
+
+/// What distinguishes the blocks of the networks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BlockKind {
     /// Epsilon of the layer norms.
     pub epsilon: f64,
-    /// Whether queries and keys are normalised per head.
-    pub qk_norm: bool,
+    /// How queries and keys are normalised per head.
+    pub qk_norm: Option<HeadNorm>,
+    /// Whether linear layers and layer norms add a bias.
+    pub bias: bool,
     /// Whether residual branches are scaled per channel.
     pub layer_scale: bool,
     /// Numbers of the matrix products.
@@ -21,24 +32,35 @@ pub struct BlockKind {
 }
 
 impl BlockKind {
-    /// Blocks of the image encoder.
+    /// Blocks of the image encoder DINOv2.
     pub const ENCODER: Self = Self {
         epsilon: 1e-6,
-        qk_norm: false,
+        qk_norm: None,
+        bias: true,
         layer_scale: true,
         precision: Precision::F32,
     };
-    /// Frame and global blocks of the aggregator.
+    /// Frame and global blocks of the aggregator of Stage 1.
     pub const AGGREGATOR: Self = Self {
         epsilon: 1e-5,
-        qk_norm: true,
+        qk_norm: Some(HeadNorm::Layer),
+        bias: true,
         layer_scale: true,
         precision: Precision::F32,
     };
-    /// Blocks of the latent adapter.
+    /// Blocks of the latent adapter of Stage 1.
     pub const ADAPTER: Self = Self {
         epsilon: 1e-5,
-        qk_norm: false,
+        qk_norm: None,
+        bias: true,
+        layer_scale: false,
+        precision: Precision::F32,
+    };
+    /// Blocks of 4DGT (`docs/spec/baseline-4dgt.md` section 4).
+    pub const FOUR_DGT: Self = Self {
+        epsilon: 1e-5,
+        qk_norm: Some(HeadNorm::RootMeanSquare(1e-6)),
+        bias: false,
         layer_scale: false,
         precision: Precision::F32,
     };
@@ -71,11 +93,20 @@ impl Block {
     /// When a tensor is missing or has another shape.
     pub fn load(scope: &Scope<'_>, kind: BlockKind, width: usize, heads: usize) -> Result<Self> {
         let attention = scope.child("attn");
-        let head_norm = |name: &str| LayerNorm::load(&attention.child(name), width / heads, kind.epsilon);
-        let qk_norms = if kind.qk_norm {
-            Some([head_norm("q_norm")?, head_norm("k_norm")?])
-        } else {
-            None
+        let head_norm = |name: &str, norm: HeadNorm| {
+            let (scope, size) = (attention.child(name), width / heads);
+            match norm {
+                HeadNorm::Layer => LayerNorm::load(&scope, size, kind.epsilon),
+                HeadNorm::RootMeanSquare(epsilon) => LayerNorm::root_mean_square(&scope, size, epsilon),
+            }
+        };
+        let qk_norms = match kind.qk_norm {
+            Some(norm) => Some([head_norm("q_norm", norm)?, head_norm("k_norm", norm)?]),
+            None => None,
+        };
+        let norm = |name: &str| match kind.bias {
+            true => LayerNorm::load(&scope.child(name), width, kind.epsilon),
+            false => LayerNorm::scaling(&scope.child(name), width, kind.epsilon),
         };
         let scale = |name: &str| scope.get(name, [width]);
         let scales = if kind.layer_scale {
@@ -84,12 +115,16 @@ impl Block {
             None
         };
         let linear = |scope: &Scope<'_>, outputs: usize, inputs: usize| -> Result<Linear> {
-            Ok(Linear::load(scope, outputs, inputs)?.with_precision(kind.precision))
+            let layer = match kind.bias {
+                true => Linear::load(scope, outputs, inputs)?,
+                false => Linear::load_unbiased(scope, outputs, inputs)?,
+            };
+            Ok(layer.with_precision(kind.precision))
         };
         let mlp = scope.child("mlp");
         Ok(Self {
-            norm1: LayerNorm::load(&scope.child("norm1"), width, kind.epsilon)?,
-            norm2: LayerNorm::load(&scope.child("norm2"), width, kind.epsilon)?,
+            norm1: norm("norm1")?,
+            norm2: norm("norm2")?,
             attention: SelfAttention::new(linear(&attention.child("qkv"), 3 * width, width)?, qk_norms, heads),
             projection: linear(&attention.child("proj"), width, width)?,
             scales,

@@ -1,0 +1,113 @@
+//! Baselines of a manifest: outputs and rows of their own, weights that must be asked for, failures that are counted.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
+
+mod support;
+
+use serde_json::Value;
+use support::Workspace;
+
+const BASELINES: &str = r#"
+[[baselines]]
+method = "movies"
+
+[[baselines]]
+method = "4dgt"
+lift = { configuration = "compact", height = 28, width = 42 }
+
+[[baselines]]
+method = "4dgt"
+name = "4dgt+5-frames"
+lift = { configuration = "compact", height = 28, width = 42, frames = "source" }
+"#;
+
+/// The manifest of a workspace with baselines and these weights for them.
+fn with_baselines(workspace: &Workspace, weights: &str) {
+    workspace.manifest("baselines.toml", "run");
+    let manifest = std::fs::read_to_string(workspace.path("baselines.toml")).unwrap();
+    assert!(manifest.contains("[weights]\n"), "{manifest}");
+    let manifest = manifest.replace("[weights]\n", &format!("[weights]\n{weights}"));
+    workspace.write("baselines.toml", &(manifest + BASELINES));
+}
+
+fn row<'a>(table: &'a Value, method: &str) -> &'a Value {
+    let rows = table["rows"].as_array().unwrap();
+    let found = rows.iter().find(|row| row["method"] == method);
+    found.unwrap_or_else(|| panic!("no row `{method}`: {table:#}"))
+}
+
+fn notes(table: &Value) -> String {
+    let notes = table["footnotes"].as_array().unwrap().iter();
+    notes.map(|note| note.as_str().unwrap().to_owned() + "\n").collect()
+}
+
+#[test]
+fn baselines_are_units_of_the_run_with_rows_of_their_own() {
+    let workspace = Workspace::small(1);
+    with_baselines(
+        &workspace,
+        "movies = \"seeded\"\n4dgt = \"seeded\"\ndinov2 = \"seeded\"\n",
+    );
+    let (code, made) = workspace.rogs_json(&["run", "baselines.toml", "--no-report", "--json"]);
+    assert_eq!(code, Some(0), "{made:#}");
+    let (_, main) = workspace.rogs_json(&["table", "run", "--table", "main", "--json"]);
+    for (method, label) in [
+        ("movies", "MoVieS (seeded weights)"),
+        ("4dgt", "4DGT (seeded weights)"),
+        ("stage1", "Ours (Stage 1)"),
+    ] {
+        let row = row(&main, method);
+        assert_eq!(
+            (&row["label"], &row["clips"]),
+            (&Value::from(label), &Value::from(1)),
+            "{main:#}"
+        );
+        assert!(row["cells"][0].get("mean").is_some(), "{row:#}");
+    }
+    assert!(notes(&main).contains("UNTRAINED WEIGHTS: 4dgt"), "{main:#}");
+    let (_, frames) = workspace.rogs_json(&["table", "run", "--table", "frames_4dgt", "--json"]);
+    assert_eq!(row(&frames, "4dgt/5-frames")["clips"], 1);
+    let (_, inputs) = workspace.rogs_json(&["table", "run", "--table", "inputs", "--json"]);
+    let text = row(&inputs, "4dgt")["cells"].to_string();
+    assert!(text.contains("17 / camera"), "{text}");
+    // Nothing of a baseline is made twice, and nothing of it lies among the outputs of the run.
+    let (code, again) = workspace.rogs_json(&["run", "baselines.toml", "--no-report", "--json"]);
+    assert_eq!((code, &again["units"]["made"]), (Some(0), &Value::from(0)), "{again:#}");
+}
+
+#[test]
+fn a_baseline_runs_with_its_own_weights_or_not_at_all() {
+    let workspace = Workspace::small(1);
+    with_baselines(&workspace, "movies = \"seeded\"\n");
+    let plan = |text: &str, expected: &[&str]| {
+        workspace.write("other.toml", text);
+        let output = workspace.rogs(&["plan", "other.toml"]);
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{stderr}");
+        for expected in expected {
+            assert!(stderr.contains(expected), "{expected}: {stderr}");
+        }
+    };
+    let manifest = std::fs::read_to_string(workspace.path("baselines.toml")).unwrap();
+    plan(
+        &manifest,
+        &["4DGT needs weights: [weights] has no `4dgt`", "docs/baselines.md"],
+    );
+    let only = |text: &str| manifest.replace(BASELINES, text);
+    plan(
+        &only("\n[[baselines]]\nmethod = \"som\"\n"),
+        &["unknown baseline `som`", "movies, 4dgt"],
+    );
+    plan(
+        &only("\n[[baselines]]\nmethod = \"movies\"\nlift = { anchoring = true }\n"),
+        &["`anchoring` is part of what makes MoVieS a baseline"],
+    );
+    plan(
+        &only("\n[[baselines]]\nmethod = \"movies\"\n\n[[baselines]]\nmethod = \"movies\"\n"),
+        &["another baseline, variant or prediction is named `movies`"],
+    );
+    plan(
+        &only("\n[[baselines]]\nmethod = \"movies\"\nlift = { frames = \"all\" }\n"),
+        &["unknown parameter `frames`"],
+    );
+}
