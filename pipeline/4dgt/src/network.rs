@@ -127,13 +127,20 @@ impl FourDgt {
         let tokens = stream.cameras.len() * area / (PATCH * PATCH);
         let numbers = from_host(numbers, [1, tokens, INPUTS * PATCH * PATCH], self.parameters.device());
         let features = features.reshape([1, tokens, self.config.encoder_width]);
-        let layer = Linear::load_unbiased(
-            &self.scope("input_linear"),
-            self.config.width,
-            self.config.patch_numbers(),
-        )?;
-        let layer = layer.with_precision(self.precision);
-        Ok(layer.forward(Tensor::cat(vec![numbers, features], 2)))
+        let weight = self
+            .scope("input_linear")
+            .get("weight", [self.config.width, self.config.patch_numbers()])?;
+        // Channel by channel, then the features: a sum of all numbers in a row loses digits that the heads make visible.
+        let channel = PATCH * PATCH;
+        let part = |input: Tensor<3>, first: usize| {
+            let columns = weight.clone().narrow(1, first, input.dims()[2]);
+            Linear::new(columns, None).with_precision(self.precision).forward(input)
+        };
+        let sum = |sum: Tensor<3>, index: usize| {
+            let first = index * channel;
+            sum + part(numbers.clone().narrow(2, first, channel), first)
+        };
+        Ok((0..INPUTS).fold(part(features, INPUTS * channel), sum))
     }
 
     /// The class token behind the others, and all blocks. `[1, T * N, C] -> [1, T * N, C]`, after the last norm

@@ -7,6 +7,7 @@ use std::path::Path;
 use burn::tensor::Device;
 use rogs_4dgt::import::ImportRequest;
 use rogs_4dgt::{FourDgt, FourDgtConfig, import_encoder, import_network, layout, open_encoder, open_network};
+use rogs_needs::needs;
 use rogs_vit::{EncoderSizes, PositionGrid};
 use rogs_weights::{ElementType, ParameterSpec, TensorSource, write};
 
@@ -165,6 +166,7 @@ fn files_of_other_networks_are_refused_and_leave_nothing() {
     assert!(error.contains("not a safetensors file"), "{error}");
 }
 
+#[needs(long = "86 million parameters, twice")]
 #[test]
 fn an_encoder_says_by_its_tensors_whether_it_has_registers() {
     let folder = tempfile::tempdir().unwrap();
