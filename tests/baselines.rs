@@ -93,6 +93,10 @@ fn a_baseline_runs_with_its_own_weights_or_not_at_all() {
         &manifest,
         &["4DGT needs weights: [weights] has no `4dgt`", "docs/baselines.md"],
     );
+    plan(
+        &manifest.replace("[weights]\n", "[weights]\n4dgt = \"builtin\"\n"),
+        &["4DGT needs weights: there are none of the name `builtin`"],
+    );
     let only = |text: &str| manifest.replace(BASELINES, text);
     plan(
         &only("\n[[baselines]]\nmethod = \"som\"\n"),

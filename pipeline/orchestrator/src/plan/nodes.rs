@@ -382,9 +382,11 @@ impl<'a> Builder<'a> {
                     _ => At::key("baselines"),
                 };
                 let (words, key) = (spec.words, role.key());
-                let error = self
-                    .text
-                    .error(at, format!("{words} needs weights: [weights] has no `{key}`"));
+                let found = match given {
+                    Some(Chosen::Word(word)) => format!("there are none of the name `{word}` in this program"),
+                    _ => format!("[weights] has no `{key}`"),
+                };
+                let error = self.text.error(at, format!("{words} needs weights: {found}"));
                 return Err(error.with_hint(format!(
                     "name its imported checkpoint, {key} = \"FILE\" (docs/baselines.md); {key} = \"{SEEDED}\" runs it with random \
                      values, which say nothing about {words}"
