@@ -53,7 +53,11 @@ pub fn open_network(path: &Path, device: &Device) -> Result<Loaded<FourDgtConfig
 /// # Errors
 /// As [`open_network`].
 pub fn open_encoder(path: &Path, device: &Device) -> Result<Loaded<EncoderSizes>> {
-    open(path, device, ENCODER, |sizes| Ok(layout::encoder(sizes)))
+    let sizes_of = |sizes: &EncoderSizes| -> Result<_> {
+        sizes.validate()?;
+        Ok(layout::encoder(sizes))
+    };
+    open(path, device, ENCODER, sizes_of)
 }
 
 /// The network with seeded values, drawn tensor by tensor as it runs.

@@ -9,7 +9,7 @@ use rogs_4dgt::import::ImportRequest;
 use rogs_4dgt::{FourDgt, FourDgtConfig, import_encoder, import_network, layout, open_encoder, open_network};
 use rogs_needs::needs;
 use rogs_vit::{EncoderSizes, PositionGrid};
-use rogs_weights::{ElementType, ParameterSpec, TensorSource, write};
+use rogs_weights::{CONFIGURATION, ElementType, KIND, ParameterSpec, TensorSource, write};
 
 /// Whether the storage of a tensor is in the file, by its name.
 type Stored<'a> = &'a dyn Fn(&str) -> bool;
@@ -205,5 +205,36 @@ fn an_encoder_says_by_its_tensors_whether_it_has_registers() {
         );
         let network = rogs_4dgt::seeded_network(config(), 1, &Device::flex());
         FourDgt::new(network.sizes, network.parameters, loaded.sizes, loaded.parameters).unwrap();
+    }
+}
+
+#[test]
+fn sizes_that_cannot_be_are_refused_before_anything_is_made_of_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("encoder.safetensors");
+    let vit_b = EncoderSizes::vit_b(0);
+    for sizes in [
+        EncoderSizes { heads: 0, ..vit_b },
+        EncoderSizes { heads: 7, ..vit_b },
+        EncoderSizes {
+            blocks: usize::MAX,
+            ..vit_b
+        },
+        EncoderSizes {
+            registers: usize::MAX,
+            ..vit_b
+        },
+    ] {
+        let pairs = [
+            (KIND, "dinov2".to_owned()),
+            (CONFIGURATION, serde_json::to_string(&sizes).unwrap()),
+        ];
+        let metadata = pairs.map(|(key, value)| (key.to_owned(), value)).into();
+        write(&path, &metadata, ElementType::F32, Vec::new()).unwrap();
+        let error = open_encoder(&path, &Device::flex()).err().unwrap().to_string();
+        assert!(
+            error.contains("an image encoder needs sizes from 1 to 65536"),
+            "{error}"
+        );
     }
 }

@@ -11,6 +11,9 @@ use crate::patches::patch_projection;
 use crate::positions::{PositionGrid, resampling_matrix};
 use crate::{Error, Result};
 
+/// No size of an image encoder is larger.
+const LARGEST: usize = 1 << 16;
+
 /// Sizes of an image encoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -49,6 +52,21 @@ impl EncoderSizes {
             registers,
             positions,
         }
+    }
+
+    /// Checks that the sizes fit together, as those that a file says.
+    ///
+    /// # Errors
+    /// When they do not.
+    pub fn validate(&self) -> Result<()> {
+        let sizes = [self.width, self.heads, self.patch, self.blocks, self.position_grid];
+        let possible = |size: &usize| (1..=LARGEST).contains(size);
+        if !sizes.iter().all(possible) || self.registers > LARGEST || !self.width.is_multiple_of(self.heads) {
+            return Err(Error::BadConfiguration(format!(
+                "an image encoder needs sizes from 1 to {LARGEST} and a width that its heads divide, not {self:?}"
+            )));
+        }
+        Ok(())
     }
 
     /// Patches of an image, rows and columns.
