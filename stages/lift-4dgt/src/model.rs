@@ -104,9 +104,7 @@ fn sizes(configuration: Configuration) -> (FourDgtConfig, EncoderSizes) {
 fn hash_of(path: &Path) -> StageResult<String> {
     let io = |error: std::io::Error| StageError::io(format!("{}: {error}", path.display()));
     let mut hasher = blake3::Hasher::new();
-    hasher
-        .update_reader(std::fs::File::open(path).map_err(io)?)
-        .map_err(io)?;
+    hasher.update_reader(rogs_files::open(path).map_err(io)?).map_err(io)?;
     Ok(hasher.finalize().to_hex().to_string())
 }
 

@@ -12,8 +12,9 @@ use rogs_worker::{StageError, StageResult};
 use crate::lifting::Base;
 use crate::source::{Source, View};
 
-/// Renders of less parity are told, dB of PSNR. Rounding alone leaves more than 60.
-const EXPECTED_DB: f64 = 45.0;
+/// Renders of less parity are told, dB of PSNR. Rounding decides where a faint edge is cut and which of two Gaussians at the
+/// same depth is in front: in a small image of a field of random weights that was seen to leave 44.8.
+const EXPECTED_DB: f64 = 40.0;
 
 /// What a camera sees from one of its views: colours in 0 to 1. `[H, W, 3]`
 pub(crate) fn seen(source: &Source<'_>, base: &Base, slice: &TimeSlice, view: &View<'_>) -> StageResult<Vec<f32>> {
@@ -77,10 +78,10 @@ mod tests {
         let own = vec![0.5f32; 300];
         let shifted = |by: f32| own.iter().map(|value| value + by).collect::<Vec<f32>>();
         assert_eq!(parity_db(&own, &own), f64::INFINITY);
-        assert!((parity_db(&own, &shifted(0.01)) - 40.0).abs() < 1e-3);
+        assert!((parity_db(&own, &shifted(0.1)) - 20.0).abs() < 1e-3);
         assert!(warning("ext1", &own, &shifted(0.003)).is_none());
-        let told = warning("ext1", &own, &shifted(0.01)).unwrap();
-        assert!(told.contains("`ext1`") && told.contains("40.0 dB"), "{told}");
+        let told = warning("ext1", &own, &shifted(0.1)).unwrap();
+        assert!(told.contains("`ext1`") && told.contains("20.0 dB"), "{told}");
         assert!(warning("ext1", &own, &shifted(f32::NAN)).is_some());
     }
 }
