@@ -12,8 +12,9 @@ use rogs_worker::{StageError, StageResult};
 use crate::lifting::Base;
 use crate::source::{Source, View};
 
-/// Renders of less parity are told, dB of PSNR. Rounding decides where a faint edge is cut and which of two Gaussians at the
-/// same depth is in front: in a small image of a field of random weights that was seen to leave 44.8.
+/// Renders of less parity are told, dB of PSNR. Rounding decides which of two Gaussians at the same depth is in front: in a
+/// field of random weights at 28x42 pixels up to an eighth of the values changed, some by 0.12, which leaves 43.1 dB, while
+/// all others agreed to 1e-5.
 const EXPECTED_DB: f64 = 40.0;
 
 /// What a camera sees from one of its views: colours in 0 to 1. `[H, W, 3]`
