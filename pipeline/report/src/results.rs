@@ -209,14 +209,23 @@ fn field_file(plan: &Plan, node_index: usize, path: PathBuf) -> FieldFile {
     let mut ingests = plan
         .upstream(node_index)
         .filter(|&own| plan.nodes[own].stage == StageId::Ingest);
+    // A baseline has the variant of the run, and a method of its own where it is scored.
+    let scores = plan.nodes.iter().enumerate();
+    let mut scores = scores
+        .filter(|&(index, own)| own.stage == StageId::Score && plan.upstream(index).any(|read| read == node_index));
+    let baseline = scores.find_map(|(_, own)| {
+        let method = own.params.get("method").and_then(Value::as_str);
+        method.filter(|method| !method.starts_with("stage1"))
+    });
     // The first variant is the run itself; of others the label ends in the name, as in `lift@rollout@VARIANT`.
-    let main = node.variants.contains(&0);
+    let main = node.variants.contains(&0) && baseline.is_none();
     let variant = node.label.rsplit_once('@').filter(|_| !main).map(|(_, name)| name);
     FieldFile {
-        name: variant.map_or_else(
-            || "stage1".to_owned(),
-            |name| format!("stage1/{}", name.replace('+', "/")),
-        ),
+        name: match (baseline, variant) {
+            (Some(method), _) => method.to_owned(),
+            (None, Some(name)) => format!("stage1/{}", name.replace('+', "/")),
+            (None, None) => "stage1".to_owned(),
+        },
         path,
         camera_wise: is("attention", &Value::from("camera-wise")),
         anchored: !is("anchoring", &Value::from(false)),
