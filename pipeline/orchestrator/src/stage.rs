@@ -555,7 +555,7 @@ pub static BASELINES: [BaselineSpec; 2] = [
         weights: &[(WeightsRole::Lift, WeightsRole::Movies)],
         score: StageId::Score,
         output: Output {
-            skips: &["refinement", "polynomial", "predictions"],
+            skips: &["refinement", "fitted", "polynomial", "predictions"],
             ..Output::new("score", "scores-1.r4c")
         },
     },
@@ -570,7 +570,7 @@ pub static BASELINES: [BaselineSpec; 2] = [
         ],
         score: StageId::Score,
         output: Output {
-            skips: &["field", "refinement", "predictions"],
+            skips: &["field", "refinement", "fitted", "predictions"],
             ..Output::new("score", "scores-1.r4c")
         },
     },
