@@ -16,6 +16,8 @@ const SMALL: [f64; 2] = [0.015, 0.02];
 const SIMPLER: f64 = 0.05;
 /// A hand-eye pose that a search over many found needs this overlay: the best of many is good by chance.
 const FOUND: f64 = 0.35;
+/// An overlay above this is that of a robot in its place.
+const CLEAR: f64 = 0.6;
 /// Below this the robot does not lie on the images, whatever the offset says.
 const LEAST: f64 = 0.12;
 /// A pose that moves against the hand by less is none: metres, radians.
@@ -100,6 +102,22 @@ impl Found {
     pub(super) fn explained(&self) -> bool {
         self.best()
             .is_some_and(|best| best.overlay - self.overlay > GAIN && best.overlay > FITS)
+    }
+
+    /// Whether a supposition puts the robot so clearly on the images that no pose need be sought.
+    pub(super) fn is_clear(&self) -> bool {
+        (self.explained() || self.late) && self.best().is_some_and(|best| best.overlay > CLEAR)
+    }
+
+    /// Whether the best supposition is about the joint values.
+    pub(super) fn best_is_of_joints(&self) -> bool {
+        self.best().is_some_and(|best| best.mistake.is_of_joints())
+    }
+
+    /// Whether the best supposition is about the gripper.
+    pub(super) fn best_is_of_gripper(&self) -> bool {
+        let of_gripper = |mistake: &Mistake| matches!(mistake, Mistake::GripperSense | Mistake::GripperRange { .. });
+        self.best().is_some_and(|best| of_gripper(&best.mistake))
     }
 
     /// Looks for a better pose, and for one that changes during the clip.

@@ -127,6 +127,16 @@ impl Mistake {
     }
 }
 
+impl Mistake {
+    /// Whether it concerns how joint values are read.
+    pub(super) fn is_of_joints(&self) -> bool {
+        matches!(
+            self,
+            Self::JointOrder { .. } | Self::JointUnit { .. } | Self::JointSign { .. }
+        )
+    }
+}
+
 impl fmt::Display for Mistake {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
