@@ -26,7 +26,7 @@ impl Stage for AgreementStage {
     const NAME: &'static str = "agreement";
     const SUMMARY: &'static str =
         "Measures whether the drawn robot lies on the images, and says which mistake explains that it does not.";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const OUTPUT: SchemaId = Agreements::SCHEMA;
     type Params = Params;
 
