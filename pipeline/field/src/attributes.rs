@@ -39,13 +39,20 @@ pub fn scale_iu(raw: f32) -> f32 {
     scale_below_iu(raw, f32::INFINITY)
 }
 
-/// The same for a Gaussian with a cap of its own, which stands in the place of 0.3 where it is finite: smaller for the
-/// footprint of the robot, larger where a field was made in a larger unit. Internal units
+/// Largest scale of an axis of a Gaussian with this cap, internal units: the cap stands in the place of
+/// [`MAX_SCALE_IU`] where it is finite, smaller for the footprint of the robot, larger where a field was made in a larger
+/// unit.
+#[must_use]
+pub fn scale_limit_iu(cap_iu: f32) -> f32 {
+    if cap_iu.is_finite() { cap_iu } else { MAX_SCALE_IU }
+}
+
+/// The same as [`scale_iu`] for a Gaussian with a cap of its own, [`scale_limit_iu`]. Internal units.
 #[must_use]
 pub fn scale_below_iu(raw: f32, cap_iu: f32) -> f32 {
     // softplus(x) = max(x, 0) + ln(1 + e^-|x|) neither overflows nor loses small values.
     let softplus = raw.max(0.0) + libm::log1pf(libm::expf(-raw.abs()));
-    (SCALE_STEP_IU * softplus).min(if cap_iu.is_finite() { cap_iu } else { MAX_SCALE_IU })
+    (SCALE_STEP_IU * softplus).min(scale_limit_iu(cap_iu))
 }
 
 /// The raw scale whose activation below a cap of `factor` times [`MAX_SCALE_IU`] is `factor` times that of `raw`.

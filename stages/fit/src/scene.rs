@@ -374,7 +374,7 @@ fn raw_at(start: &Start, slice: usize) -> Cow<'_, [f32]> {
 
 /// Largest scale of a Gaussian, internal units.
 fn limit(start: &Start, index: usize) -> f32 {
-    start.scale_cap_iu[index].min(attributes::MAX_SCALE_IU)
+    attributes::scale_limit_iu(start.scale_cap_iu[index])
 }
 
 /// Raw attributes with the parameters.
