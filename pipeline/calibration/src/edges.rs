@@ -10,16 +10,15 @@ use rogs_robot::raster::Renderer;
 
 use crate::Result;
 use crate::correction::{Correction, FOCAL, LAG, PRINCIPAL, UNKNOWNS};
-use crate::scaled::{enlarged, shrunk, shrunk_lens};
-use crate::solve::{BLOCKS, Kind, Row};
+use crate::moment::{Moment, standing};
+use crate::scaled::{shrunk, shrunk_lens};
+use crate::solve::{Kind, Row};
 use crate::take::Take;
 
 /// Fewer pixels of the robot tell nothing.
 const FEWEST_PIXELS: usize = 120;
 /// Images with a smaller standard deviation of brightness are blank, grey values.
 const BLANK: f64 = 2.0;
-/// Part of a frame over which the speed of the robot is taken.
-const HALF_STEP: f64 = 0.5;
 
 /// A camera's pose in its mount: the base frame for a fixed camera, its link for one on the hand.
 pub(crate) fn mount_from_camera(mount: &Mount) -> Pose<Link, Camera> {
@@ -32,31 +31,36 @@ pub(crate) fn mount_from_camera(mount: &Mount) -> Pose<Link, Camera> {
 
 /// Images of some frames at one size.
 pub(crate) struct Level<'a> {
-    takes: &'a [Take<'a>],
+    pub takes: &'a [Take<'a>],
     /// The given camera at this size.
     pub lens: Pinhole,
-    mount_from_given: Pose<Link, Camera>,
+    pub mount_from_given: Pose<Link, Camera>,
     /// Clip, frame and pixels.
-    images: Vec<(usize, usize, Vec<u8>)>,
+    pub images: Vec<(usize, usize, Vec<u8>)>,
+    /// Whether a link is rigid to the base.
+    pub standing: Vec<bool>,
 }
 
 /// A contour point that is tied to the robot, and where the image has its edge.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Edge {
+    pub kind: Kind,
     /// In the frame of the mount, metres.
-    point: DVec3,
+    pub point: DVec3,
     /// How it moves there, metres a frame.
-    velocity: DVec3,
+    pub velocity: DVec3,
     /// Time lag at which it was taken, frames.
-    lag: f64,
+    pub lag: f64,
     /// Where the image has the edge, pixels.
-    target: DVec2,
+    pub target: DVec2,
     /// Unit normal of the contour.
-    normal: DVec2,
-    sigma: f64,
-    weight: f64,
-    /// Block of images.
-    block: usize,
+    pub normal: DVec2,
+    pub sigma: f64,
+    pub weight: f64,
+    /// Share of the colours' variance that it explains; outlines only.
+    pub explained: f64,
+    /// Edges of one link have errors in common.
+    pub group: u32,
 }
 
 /// What a look at all frames gave.
@@ -83,39 +87,24 @@ impl<'a> Level<'a> {
     /// Images of the chosen frames, `factor` times smaller.
     pub(crate) fn new(takes: &'a [Take<'a>], frames: &[(usize, usize)], factor: u32) -> Self {
         let lens = shrunk_lens(&takes[0].filmed().lens, factor);
-        Self::of(takes, frames, lens, |rgb, width, height| {
-            shrunk(rgb, width, height, factor as usize)
-        })
-    }
-
-    /// Images of the chosen frames, `factor` times larger: contours are cut by discs of a few pixels, which moves those of
-    /// round parts inwards; the larger the images, the less.
-    pub(crate) fn enlarged(takes: &'a [Take<'a>], frames: &[(usize, usize)], factor: u32) -> Self {
-        let given = takes[0].filmed().lens;
-        let lens = given.resized(given.width * factor, given.height * factor);
-        Self::of(takes, frames, lens, |rgb, width, height| {
-            enlarged(rgb, width, height, factor as usize)
-        })
-    }
-
-    /// Images of the chosen frames, resized to those of `lens`.
-    fn of(
-        takes: &'a [Take<'a>],
-        frames: &[(usize, usize)],
-        lens: Pinhole,
-        resized: impl Fn(&[u8], usize, usize) -> Vec<u8> + Sync,
-    ) -> Self {
         let given = takes[0].filmed().lens;
         let (width, height) = (given.width as usize, given.height as usize);
         let images = frames
             .par_iter()
-            .map(|&(clip, frame)| (clip, frame, resized(takes[clip].filmed().images[frame], width, height)))
+            .map(|&(clip, frame)| {
+                (
+                    clip,
+                    frame,
+                    shrunk(takes[clip].filmed().images[frame], width, height, factor as usize),
+                )
+            })
             .collect();
         Self {
             takes,
             lens,
             mount_from_given: mount_from_camera(&takes[0].filmed().mount),
             images,
+            standing: standing(takes[0].footage.model),
         }
     }
 
@@ -125,15 +114,9 @@ impl<'a> Level<'a> {
         let looks: Vec<Result<Look>> = self
             .images
             .par_iter()
-            .enumerate()
             .map_init(
                 || Renderer::new(self.takes[0].footage.scene),
-                |renderer, (number, image)| {
-                    let mut look = self.look_at(renderer, image, correction, settings)?;
-                    let block = number * BLOCKS / self.images.len();
-                    look.edges.iter_mut().for_each(|edge| edge.block = block);
-                    Ok(look)
-                },
+                |renderer, image| self.look_at(renderer, image, correction, settings),
             )
             .collect();
         let mut all = Look::default();
@@ -166,21 +149,16 @@ impl<'a> Level<'a> {
         settings: &Settings,
     ) -> Result<Look> {
         let take = &self.takes[*clip];
-        let time = *frame as f64 + correction.lag_frames;
-        let Some(links) = take.links(time)? else {
+        let Some(moment) = Moment::new(take, *frame, &self.mount_from_given, correction)? else {
             return Ok(Look::default());
         };
-        let base_from_mount = take.base_from_mount(&links);
-        let base_from_camera = base_from_mount * self.mount_from_given * correction.moved;
         let lens = correction.lens(&self.lens);
-        let camera_from_base = base_from_camera.inverse();
-        let camera_from_link: Vec<Pose<Camera, Link>> = links.iter().map(|&link| camera_from_base * link).collect();
-        let drawn = renderer.render(&lens, &camera_from_link, &RenderOptions::default(), 1)?;
+        let drawn = renderer.render(&lens, &moment.camera_from_link(), &RenderOptions::default(), 1)?;
         let view = View {
             rgb,
-            camera: PosedCamera::new(lens, base_from_camera),
+            camera: PosedCamera::new(lens, moment.base_from_camera),
             surface: Surface::from(&drawn),
-            base_from_link: &links,
+            base_from_link: &moment.links,
             sensor_depth_m: None,
         };
         let measured = measure(&view, settings)?;
@@ -198,21 +176,6 @@ impl<'a> Level<'a> {
         }
         look.overlay = measured.overlay(settings).unwrap_or(0.0) * (measured.samples.len() as f64 / 60.0).min(1.0);
         let shift = common_shift(&measured.samples, settings.range_px).filter(|_| settings.range_px > 8.0);
-        // The robot half a frame earlier and later, for its speed.
-        let around = [
-            take.links(time - HALF_STEP)?.unwrap_or_else(|| links.clone()),
-            take.links(time + HALF_STEP)?.unwrap_or_else(|| links.clone()),
-        ];
-        let span = f64::max(
-            0.5,
-            2.0 * HALF_STEP
-                - [time - HALF_STEP, time + HALF_STEP]
-                    .iter()
-                    .filter(|time| !(-0.01..=take.footage.frames() as f64 - 0.99).contains(*time))
-                    .count() as f64
-                    * HALF_STEP,
-        );
-        let mounts = around.each_ref().map(|links| take.base_from_mount(links).inverse());
         let mut depths = Vec::with_capacity(measured.samples.len());
         for sample in &measured.samples {
             depths.push((sample.depth_m, 1.0));
@@ -225,17 +188,18 @@ impl<'a> Level<'a> {
             if weight < 0.05 {
                 continue;
             }
-            let link = usize::from(sample.link);
-            let at = |side: usize| (mounts[side] * around[side][link]).point(sample.link_point);
+            let [point, velocity] = moment.tied(sample.base_point, usize::from(sample.link));
             look.edges.push(Edge {
-                point: base_from_mount.inverse().point(sample.base_point),
-                velocity: (at(1) - at(0)) / span,
+                kind: Kind::Edge,
+                point,
+                velocity,
                 lag: correction.lag_frames,
                 target: sample.pixel + sample.normal * sample.offset_px,
                 normal: sample.normal,
                 sigma: sample.sigma_px,
                 weight,
-                block: 0,
+                explained: 0.0,
+                group: u32::from(sample.link),
             });
         }
         look.depth_m = crate::solve::weighted_median(&mut depths);
@@ -275,12 +239,12 @@ impl Edge {
         gradient[PRINCIPAL + 1] = normal.y * f64::from(lens.height);
         gradient[LAG] = along.dot(camera_from_mount.direction(self.velocity));
         Some(Row {
-            kind: Kind::Edge,
+            kind: self.kind,
             residual: normal.dot(pixel - self.target),
             gradient,
             sigma: self.sigma,
             weight: self.weight * share,
-            block: self.block,
+            group: self.group,
         })
     }
 }
@@ -294,6 +258,7 @@ mod tests {
         let lens = Pinhole::centred(120.0, 280, 154);
         let given: Pose<Link, Camera> = Pose::from_xyz_euler([0.1, -0.2, -1.0], [0.1, 0.05, -0.2]);
         let edge = Edge {
+            kind: Kind::Edge,
             point: DVec3::new(0.2, -0.1, 0.3),
             velocity: DVec3::new(0.01, 0.02, -0.015),
             lag: 0.3,
@@ -301,7 +266,8 @@ mod tests {
             normal: DVec2::from_angle(0.7),
             sigma: 0.5,
             weight: 1.0,
-            block: 0,
+            explained: 0.0,
+            group: 0,
         };
         let correction = Correction::NONE.stepped(&[0.02, 0.01, -0.03, 0.04, -0.02, 0.03, 0.05, 0.01, 0.02, 0.4]);
         let row = |correction: &Correction| {

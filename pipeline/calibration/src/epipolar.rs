@@ -11,7 +11,7 @@ use crate::Result;
 use crate::correction::{Correction, LAG, UNKNOWNS};
 use crate::edges::mount_from_camera;
 use crate::scaled::{Grey, shrunk, shrunk_lens};
-use crate::solve::{BLOCKS, Kind, Row};
+use crate::solve::{Kind, Row};
 use crate::take::{Take, between};
 use crate::tracks::{Pyramid, pixel};
 
@@ -25,6 +25,8 @@ const MOST_POINTS: usize = 150;
 const STEP_M: f64 = 0.02;
 /// Pixels around the robot that are left out.
 const RING: usize = 4;
+/// Groups of matches, one a pair, are told by this bit from those of edges.
+const GROUP: u32 = 1 << 31;
 /// Standard deviation of a tracked place, pixels.
 const SIGMA_PX: f64 = 0.2;
 
@@ -145,7 +147,7 @@ impl Pairs {
                     gradient,
                     sigma: SIGMA_PX,
                     weight: 1.0,
-                    block: number * BLOCKS / self.pairs.len(),
+                    group: GROUP | number as u32,
                 }
             };
             pair.matches.iter().map(row).collect::<Vec<Row>>()

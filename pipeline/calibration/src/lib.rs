@@ -10,11 +10,14 @@
 mod correction;
 mod edges;
 mod epipolar;
+mod moment;
+mod outline;
 mod overlay;
 mod refine;
 pub mod rig;
 mod scaled;
 mod search;
+mod silhouettes;
 mod solve;
 mod take;
 mod tracks;

@@ -7,6 +7,7 @@ use rogs_geometry::Pinhole;
 use crate::correction::{Correction, Prior, UNKNOWNS, Vector};
 use crate::edges::{Level, Look};
 use crate::epipolar::Pairs;
+use crate::outline::Mixing;
 use crate::solve::{Solved, minimise, weighted_median};
 use crate::take::{Take, chosen_frames};
 use crate::{Error, Result};
@@ -17,8 +18,6 @@ const JUDGED_PX: f64 = 12.0;
 const FEWEST_EDGES: usize = 40;
 /// Fewest matches that tell something of a camera on the hand.
 const FEWEST_MATCHES: usize = 60;
-/// Smaller images are enlarged to about so many columns in the end.
-const LARGE: u32 = 900;
 /// A camera that overlays less than this is sought from other starts too.
 const SURE: f64 = 0.5;
 /// Images are looked at with no more columns than this.
@@ -253,12 +252,29 @@ pub(crate) fn converge(
         best = rounds(&level, &[12.0, 8.0], &pose, best)?;
     }
     best = rounds(full, &[12.0, 8.0, 6.0, 4.0], prior, best)?;
-    let larger = LARGE / lens.width;
-    if larger < 2 {
-        return rounds(full, &[4.0, 4.0], prior, best);
+    outlines(full, prior, best)
+}
+
+/// Solves by the silhouettes alone, to a small part of a pixel.
+fn outlines(level: &Level<'_>, prior: &Prior, start: Solved) -> Result<Solved> {
+    let mut best = start;
+    let mut mixing = Mixing::Light;
+    for (round, range) in [3.0, 2.0, 1.5, 1.0, 1.0].into_iter().enumerate() {
+        if round == 2 {
+            mixing = level.mixing(&best.correction, range)?;
+        }
+        let edges = level.outline(&best.correction, mixing, range)?;
+        if edges.len() < FEWEST_EDGES {
+            // Too small or too blurred: the edges have to do.
+            return rounds(level, &[4.0, 4.0], prior, best);
+        }
+        if let Some(solved) = minimise(best.correction, prior, range / 3.0, 12, |correction| {
+            level.rows(&edges, correction, 1.0)
+        }) {
+            best = solved;
+        }
     }
-    let large = Level::enlarged(takes, frames, larger);
-    rounds(&large, &[12.0, 8.0, 8.0, 8.0], prior, best)
+    Ok(best)
 }
 
 /// Comes near from a rough start, on one level of small images.

@@ -35,37 +35,6 @@ pub(crate) fn shrunk_lens(lens: &Pinhole, factor: u32) -> Pinhole {
     whole.resized(lens.width / factor, lens.height / factor)
 }
 
-/// An image of `factor` times as many rows and columns, bilinear between pixel centres.
-#[must_use]
-pub(crate) fn enlarged(rgb: &[u8], width: usize, height: usize, factor: usize) -> Vec<u8> {
-    if factor <= 1 {
-        return rgb.to_vec();
-    }
-    // The two pixels around the centre of an enlarged one, and the share of the second.
-    let places = |count: usize| -> Vec<(usize, usize, f32)> {
-        (0..count * factor)
-            .map(|at| {
-                let place = ((at as f32 + 0.5) / factor as f32 - 0.5).clamp(0.0, (count - 1) as f32);
-                let first = place as usize;
-                (first, (first + 1).min(count - 1), place - first as f32)
-            })
-            .collect()
-    };
-    let (columns, rows) = (places(width), places(height));
-    let mut out = Vec::with_capacity(rgb.len() * factor * factor);
-    for &(top, bottom, v) in &rows {
-        for &(left, right, u) in &columns {
-            for channel in 0..3 {
-                let value = |column: usize, row: usize| f32::from(rgb[3 * (row * width + column) + channel]);
-                let above = value(left, top) * (1.0 - u) + value(right, top) * u;
-                let below = value(left, bottom) * (1.0 - u) + value(right, bottom) * u;
-                out.push((above * (1.0 - v) + below * v + 0.5) as u8);
-            }
-        }
-    }
-    out
-}
-
 /// A grey image, values 0 to 255. `[H, W]`
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Grey {
@@ -139,19 +108,6 @@ mod tests {
             "{found:?}"
         );
         assert_eq!(shrunk(&rgb, 5, 4, 1), rgb);
-    }
-
-    #[test]
-    fn enlarging_keeps_blocks_and_slopes() {
-        let rgb: Vec<u8> = (0..8 * 6)
-            .flat_map(|i| [(i % 8) as u8 * 30, 90, (i / 8) as u8 * 30])
-            .collect();
-        let large = enlarged(&rgb, 8, 6, 3);
-        assert_eq!(large.len(), rgb.len() * 9);
-        assert_eq!(shrunk(&large, 24, 18, 3)[3 * 10..3 * 13], rgb[3 * 10..3 * 13]);
-        // Column 10 of 24 has its centre at 3.5 of 8, on the centre of column 3.
-        assert_eq!(large[3 * (5 * 24 + 10)], 90);
-        assert_eq!(enlarged(&rgb, 8, 6, 1), rgb);
     }
 
     #[test]

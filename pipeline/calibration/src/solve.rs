@@ -1,6 +1,8 @@
 //! Robust least squares of few unknowns: Levenberg and Marquardt's damping, Tukey's weights, a prior, the covariance
 //! (`docs/spec/calibration.md` section 2).
 
+use std::collections::BTreeMap;
+
 use rogs_agreement::{inverse, solve};
 
 use crate::correction::{Correction, Prior, UNKNOWNS, Vector};
@@ -18,6 +20,8 @@ const TOGETHER: f64 = 4.0;
 pub(crate) enum Kind {
     /// Distance of a drawn contour from the image's edge.
     Edge,
+    /// Distance of a drawn silhouette from where its two sides' colours say it is.
+    Outline,
     /// Distance of a tracked point from its epipolar line.
     Epipolar,
 }
@@ -34,12 +38,9 @@ pub(crate) struct Row {
     pub sigma: f64,
     /// How much it counts, 0 to 1.
     pub weight: f64,
-    /// Which of the [`BLOCKS`] of images it comes from.
-    pub block: usize,
+    /// Residuals of one group have errors in common, those of different ones have not.
+    pub group: u32,
 }
-
-/// Images are parted into so many blocks, one after the other, whose errors count as independent.
-pub(crate) const BLOCKS: usize = 8;
 
 /// How it came out.
 #[derive(Debug, Clone, PartialEq)]
@@ -53,6 +54,7 @@ pub(crate) struct Solved {
 #[derive(Debug, Clone, Copy)]
 struct Scales {
     edge: f64,
+    outline: f64,
     epipolar: f64,
 }
 
@@ -68,25 +70,37 @@ impl Scales {
         };
         Self {
             edge: scale(Kind::Edge, 0.3),
+            outline: scale(Kind::Outline, 0.03),
             epipolar: scale(Kind::Epipolar, 0.1),
         }
     }
 
-    /// Variance of a row, and its weight by Tukey's function.
+    /// Of a row on its own: its weight by Tukey's function, over its variance.
     fn weigh(&self, row: &Row) -> f64 {
         let scale = match row.kind {
             Kind::Edge => self.edge,
+            Kind::Outline => self.outline,
             Kind::Epipolar => self.epipolar,
         };
         let variance = row.sigma * row.sigma + scale * scale;
-        let u = row.residual / (TUKEY * variance.sqrt());
-        let tukey = if u.abs() < 1.0 {
-            (1.0 - u * u) * (1.0 - u * u)
-        } else {
-            0.0
-        };
-        row.weight * tukey / (variance * TOGETHER)
+        row.weight * tukey(row.residual / variance.sqrt()) / (variance * TOGETHER)
     }
+}
+
+/// Tukey's weight of a residual in standard deviations.
+fn tukey(size: f64) -> f64 {
+    let u = size / TUKEY;
+    if u.abs() < 1.0 {
+        (1.0 - u * u) * (1.0 - u * u)
+    } else {
+        0.0
+    }
+}
+
+/// Weights of all rows, with scales of residuals up to `widest` pixels.
+fn weights(rows: &[Row], widest: f64) -> Vec<f64> {
+    let scales = Scales::of(rows, widest);
+    rows.iter().map(|row| scales.weigh(row)).collect()
 }
 
 /// The median of values with weights `(value, weight)`; 0 of nothing.
@@ -118,8 +132,7 @@ pub(crate) fn minimise(
     let mut current = rows(&correction)?;
     let mut damping = 1e-4;
     for _ in 0..rounds {
-        let scales = Scales::of(&current, widest);
-        let weights: Vec<f64> = current.iter().map(|row| scales.weigh(row)).collect();
+        let weights = weights(&current, widest);
         let (matrix, right) = normal(&current, &weights, &correction, &sigmas);
         let cost = cost(&current, &weights, &correction, &sigmas);
         let mut stepped = None;
@@ -147,44 +160,43 @@ pub(crate) fn minimise(
             break;
         }
     }
-    let scales = Scales::of(&current, widest);
-    let weights: Vec<f64> = current.iter().map(|row| scales.weigh(row)).collect();
+    let weights = weights(&current, widest);
     let (matrix, _) = normal(&current, &weights, &correction, &sigmas);
-    let mut covariance = inverse(&matrix)?;
-    let inflation = inflation(&current, &weights, &covariance, &sigmas);
-    for (i, row) in covariance.iter_mut().enumerate() {
-        let factor = if sigmas[i].is_some() { inflation } else { 0.0 };
-        *row = row.map(|value| factor * value);
-    }
+    let covariance = covariance(&current, &weights, &matrix, &sigmas)?;
     Some(Solved { correction, covariance })
 }
 
-/// How much more the blocks disagree with each other than the normal matrix expects, at least 1: errors of one image are
-/// alike along a contour, and those of one image and the next are too.
-fn inflation(rows: &[Row], weights: &[f64], inverse: &Square, sigmas: &[Option<f64>; UNKNOWNS]) -> f64 {
-    let mut pulls = [[0.0; UNKNOWNS]; BLOCKS];
-    let mut used = [false; BLOCKS];
+/// The covariance of the unknowns: that of independent residuals, and what leaving out one group after the other changes
+/// (jackknife; groups have errors in common). 0 for unknowns that are not free.
+fn covariance(rows: &[Row], weights: &[f64], matrix: &Square, sigmas: &[Option<f64>; UNKNOWNS]) -> Option<Square> {
+    let mut groups: BTreeMap<u32, (Square, Vector)> = BTreeMap::new();
     for (row, weight) in rows.iter().zip(weights).filter(|(_, weight)| **weight > 0.0) {
-        used[row.block] = true;
+        let (without, pull) = groups.entry(row.group).or_insert((*matrix, [0.0; UNKNOWNS]));
         for i in (0..UNKNOWNS).filter(|&i| sigmas[i].is_some()) {
-            pulls[row.block][i] += weight * row.residual * row.gradient[i];
+            let scaled = weight * row.gradient[i];
+            for j in (0..=i).filter(|&j| sigmas[j].is_some()) {
+                without[i][j] -= scaled * row.gradient[j];
+            }
+            pull[i] += scaled * row.residual;
         }
     }
-    let blocks = used.iter().filter(|used| **used).count() as f64;
-    let free = sigmas.iter().filter(|sigma| sigma.is_some()).count() as f64;
-    if blocks < 2.0 || free < 1.0 {
-        return 1.0;
+    let mut covariance = inverse(matrix)?;
+    for (without, pull) in groups.values() {
+        let change = solve(*without, *pull)?;
+        for i in 0..UNKNOWNS {
+            for j in 0..UNKNOWNS {
+                covariance[i][j] += change[i] * change[j];
+            }
+        }
     }
-    let squares: f64 = pulls
-        .iter()
-        .map(|pull| {
-            let moved = inverse
-                .iter()
-                .map(|row| row.iter().zip(pull).map(|(a, b)| a * b).sum::<f64>());
-            pull.iter().zip(moved).map(|(a, b)| a * b).sum::<f64>()
-        })
-        .sum();
-    (squares / free * blocks / (blocks - 1.0)).max(1.0)
+    for (i, row) in covariance.iter_mut().enumerate() {
+        for (j, value) in row.iter_mut().enumerate() {
+            if sigmas[i].is_none() || sigmas[j].is_none() {
+                *value = 0.0;
+            }
+        }
+    }
+    Some(covariance)
 }
 
 /// Weighted squares of the residuals, and what the prior adds.
@@ -263,7 +275,7 @@ mod tests {
                 gradient,
                 sigma: 0.3,
                 weight: 1.0,
-                block: number as usize % BLOCKS,
+                group: number as u32,
             }
         });
         Some(rows.collect())

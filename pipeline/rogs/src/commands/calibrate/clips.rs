@@ -80,6 +80,9 @@ pub(super) struct Clips {
 
 /// The episodes that are named, or some of all.
 pub(super) fn chosen(folder: &Path, named: &[String]) -> anyhow::Result<Vec<EpisodeListing>> {
+    if !folder.is_dir() {
+        return Err(Error::usage(format!("`{}` is not a folder", folder.display())).into());
+    }
     let mut all = list_episodes(folder).map_err(stage_error)?;
     if all.is_empty() {
         return Err(Error::usage(format!("`{}` holds no episode", folder.display())).into());
