@@ -12,8 +12,9 @@ const BEYOND_PX: f64 = 2.5;
 const STEP_PX: f64 = 0.25;
 /// Terms that colours are explained by.
 const TERMS: usize = 5;
-/// Penalty on the squares of slopes of the two colours.
-const SLOPE: f64 = 0.1;
+/// Penalties on their squares: the two colours are free, their slopes are known to be small, that of what lies behind above
+/// all.
+const PENALTIES: [f64; TERMS] = [1e-6, 1e-6, 1.0, 10.0, 1.0];
 /// Neighbouring pixels and their channels have errors in common: so many count as one.
 const TOGETHER: f64 = 4.0;
 /// Least variance of a pixel, grey values squared: sensors and films have noise.
@@ -224,8 +225,7 @@ impl Outline<'_> {
             }
             sum += near.colour.iter().map(|c| c * c).sum::<f64>();
         }
-        // The two colours are free; their slopes are known to be small.
-        (0..TERMS).for_each(|i| matrix[i][i] += if i < 2 { 1e-6 } else { SLOPE });
+        (0..TERMS).for_each(|i| matrix[i][i] += PENALTIES[i]);
         for right in rights {
             let solved = solve(matrix, right)?;
             sum -= solved.iter().zip(right).map(|(a, b)| a * b).sum::<f64>();
