@@ -36,7 +36,7 @@ pub struct Fit {
 impl Stage for Fit {
     const NAME: &'static str = "fit";
     const SUMMARY: &'static str = "Fit: optimise the field of one clip against its source images";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const OUTPUT: SchemaId = Field::SCHEMA;
     type Params = FitParams;
 

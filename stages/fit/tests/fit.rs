@@ -209,6 +209,8 @@ fn source_views_gain_and_so_do_views_that_were_never_seen() {
         for index in (0..fitted.len()).filter(|&index| fitted.support[index] != 0) {
             let bits = |slice: &TimeSlice| [0, 1, 2].map(|k| slice.displacement_m[3 * index + k].to_bits());
             assert_eq!(bits(before), bits(after), "the robot moves as it did");
+            let centre = |field: &Field| [0, 1, 2].map(|k| field.position_m[3 * index + k].to_bits());
+            assert_eq!(centre(&example.field), centre(&fitted), "and begins where it did");
         }
     }
     assert!(
