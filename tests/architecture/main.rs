@@ -139,6 +139,7 @@ fn dependencies_point_one_way() {
                 "rogs-geometry",
                 "rogs-robot",
                 "rogs-field",
+                "rogs-splat",
                 "rogs-export",
             ],
             _ => &[

@@ -1,6 +1,6 @@
 //! What a fit gains: image quality at source views and at held-out cameras before and after, seconds, displacements.
 //!
-//! `cargo run --example measure -p rogs-fit -- CLIP_FOLDER [UPDATES] ['{"hold": 0.001, ...}']`
+//! `cargo run --release -p rogs-fit --example measure -- CLIP_FOLDER [UPDATES] ['{"hold": 0.001, ...}']`
 //! The folder is that of a clip in a run, with `clip.r4c`, `robot.r4c`, `field-1.r4c` and, where there is one, `field-2.r4c`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
