@@ -99,7 +99,7 @@ impl Default for Rates {
 impl Default for FitParams {
     fn default() -> Self {
         Self {
-            updates: 500,
+            updates: 100,
             start: StartFrom::Refined,
             robot: RobotMotion::Field,
             static_below_m: 0.0014,
