@@ -1,10 +1,10 @@
 //! Calibration files beside a small episode of one camera.
 #![no_main]
 
-#[path = "common/place.rs"]
-mod place;
 #[path = "common/episode.rs"]
 mod episode;
+#[path = "common/place.rs"]
+mod place;
 
 use libfuzzer_sys::fuzz_target;
 use rogs_ingest::{Params, read_clip};

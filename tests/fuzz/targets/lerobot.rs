@@ -10,7 +10,12 @@ use rogs_ingest::{Params, list_episodes, outline, read_clip};
 
 /// Names in either version; the first byte says which.
 const NAMES: [[&str; 4]; 2] = [
-    ["meta/info.json", "meta/episodes.jsonl", "meta/tasks.jsonl", "data/rows.parquet"],
+    [
+        "meta/info.json",
+        "meta/episodes.jsonl",
+        "meta/tasks.jsonl",
+        "data/rows.parquet",
+    ],
     [
         "meta/info.json",
         "meta/episodes/chunk-000/file-000.parquet",

@@ -1,10 +1,10 @@
 //! Caches of PointWorld as references of a small episode: the first byte says which file the others are.
 #![no_main]
 
-#[path = "common/place.rs"]
-mod place;
 #[path = "common/episode.rs"]
 mod episode;
+#[path = "common/place.rs"]
+mod place;
 
 use libfuzzer_sys::fuzz_target;
 use rogs_ingest::{Params, PointWorldFiles, read_joined_clip};
