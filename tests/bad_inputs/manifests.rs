@@ -34,7 +34,7 @@ fn manifests() {
         "two episodes have the id `clip`",
     );
     refused("[input]\n", "[input]\nrot = \"x\"\n", "did you mean `root`?");
-    refused("[run]\n", "[run]\nstages = [\"lfit\"]\n", "did you mean `lift`?");
+    refused("[run]\n", "[run]\nstages = [\"lifft\"]\n", "did you mean `lift`?");
     // Everything that is not there, at once.
     let workspace_text = std::fs::read_to_string(workspace.path("manifest.toml")).unwrap();
     workspace.write(

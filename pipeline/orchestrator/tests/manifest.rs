@@ -22,8 +22,8 @@ fn told(workspace: &Workspace) -> (String, String) {
 
 #[test]
 fn unknown_names_have_line_column_and_a_suggestion() {
-    let (message, hint) = refusal("[lfit]\nseed = 1\n");
-    assert!(message.starts_with("toy.toml:11:2: unknown field `lfit`"), "{message}");
+    let (message, hint) = refusal("[lifft]\nseed = 1\n");
+    assert!(message.starts_with("toy.toml:11:2: unknown field `lifft`"), "{message}");
     assert_eq!(hint, "did you mean `lift`?");
     let (message, hint) = refusal("[lift]\nseed = 1\nno_anchr = true\n");
     assert!(
