@@ -179,7 +179,8 @@ impl Viewer {
     /// The scenes of a clip, made at the first call; why there are none.
     fn scenes<'a>(&self, clip: &'a Shown) -> Result<&'a [Made], &'a str> {
         let make = || {
-            let made = scenes_of(&clip.files, self.robot.as_ref()).map_err(|error| error.to_string())?;
+            let made = scenes_of(&clip.files, self.robot.as_ref())
+                .map_err(|error| format!("{:#}", anyhow::Error::new(error)))?;
             Ok(made.into_iter().map(|(name, bytes)| (name, Arc::new(bytes))).collect())
         };
         let made: &Result<Vec<Made>, String> = clip.scenes.get_or_init(make);
