@@ -213,7 +213,7 @@ impl Stream {
         let first = self
             .cameras
             .first()
-            .ok_or_else(|| Error::BadInput("there are no images".into()))?;
+            .ok_or_else(|| Error::BadInput("no images: expected at least one".into()))?;
         let size = [first.lens.height as usize, first.lens.width as usize];
         let same = |camera: &RayCamera| [camera.lens.height as usize, camera.lens.width as usize] == size;
         let frames = self.cameras.len();

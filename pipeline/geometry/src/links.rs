@@ -63,7 +63,7 @@ impl LinkMotions {
         self.0.iter().map(|motion| wxyz_f32(motion.quaternion())).collect()
     }
 
-    /// Where a point of a link comes to, reconstruction frame, metres; `None` where there is no such link.
+    /// The moved position of a point of a link, reconstruction frame, metres; `None` for an unknown link.
     #[must_use]
     pub fn moved(&self, link: usize, point: DVec3) -> Option<DVec3> {
         self.0.get(link).map(|motion| motion.point(point))

@@ -33,7 +33,7 @@ impl MotionBases {
         self.translations.len().checked_div(3 * self.frames).unwrap_or(0)
     }
 
-    /// True when there is no base.
+    /// Whether the set has no bases.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
@@ -42,7 +42,7 @@ impl MotionBases {
     /// All bases at a frame.
     ///
     /// # Errors
-    /// When there is no such frame, or the arrays contradict each other.
+    /// For a frame out of range, or arrays whose lengths disagree.
     pub fn at(&self, frame: usize) -> Result<Vec<BaseMotion>> {
         let (bases, frames) = (self.len(), self.frames);
         expect("rotations of the bases", self.rotations.len(), 6 * bases * frames)?;

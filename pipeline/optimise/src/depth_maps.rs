@@ -49,7 +49,7 @@ pub fn median_filter(depth: &[f32], height: usize, width: usize, side: usize) ->
 }
 
 /// Unit normals of a depth map in the world: `cross(right - left, top - bottom)` of the neighbouring points; 0 at the
-/// border and where the points are no surface. Depths lie at integer pixel coordinates of `camera`, which counts pixel
+/// border and where the points span no plane. Depths lie at integer pixel coordinates of `camera`, which counts pixel
 /// centres at integers; `world_from_camera` turns directions. `[height, width]`
 ///
 /// # Errors

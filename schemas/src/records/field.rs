@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::check::{Check, area, binary, count, ensure, nonzero, pose, product};
-use super::clip::SourceView;
+use super::clip::{Clip, SourceView};
+use super::robot::RobotMaps;
 use crate::ids::ClipId;
 use crate::pose::RigidPose;
 
@@ -112,6 +113,44 @@ impl Field {
 }
 
 impl Field {
+    /// The field, the clip and the robot maps are of one clip and of one size, and there are Gaussians.
+    ///
+    /// # Errors
+    /// What contradicts what, in words.
+    pub fn check_beside(&self, clip: &Clip, robot: &RobotMaps) -> Check {
+        let frames = clip.frame_count();
+        let problem = if clip.clip_id != self.clip_id || clip.clip_id != robot.clip_id {
+            format!(
+                "clip `{}`, robot maps of `{}` and field of `{}` do not belong together",
+                clip.clip_id, robot.clip_id, self.clip_id
+            )
+        } else if (clip.height, clip.width) != (self.height, self.width) {
+            format!(
+                "the field has {} x {} pixels a view, the clip {} x {}",
+                self.height, self.width, clip.height, clip.width
+            )
+        } else if self.frame_count as usize != frames {
+            format!("the field counts {} frames, the clip {frames}", self.frame_count)
+        } else if robot.base_from_camera.len() != clip.cameras.len() * frames {
+            format!(
+                "the robot maps have {} camera poses for {} cameras and {frames} frames",
+                robot.base_from_camera.len(),
+                clip.cameras.len()
+            )
+        } else if let Some(view) = self.views.iter().find(|view| view.camera.at() >= clip.cameras.len()) {
+            format!(
+                "the field has a view of camera {}, the clip has {} cameras",
+                view.camera,
+                clip.cameras.len()
+            )
+        } else if self.is_empty() {
+            "the field has no Gaussians".to_owned()
+        } else {
+            return Ok(());
+        };
+        Err(problem)
+    }
+
     /// The arrays agree with the counts, and every number is possible.
     ///
     /// # Errors

@@ -86,35 +86,6 @@ fn reference_depth(clip: &Clip, view: SourceView) -> Option<Vec<f32>> {
 
 /// Refuses records of different clips and sizes.
 fn check(clip: &Clip, robot: &RobotMaps, field: &Field) -> StageResult<()> {
-    let frames = clip.frame_count();
-    let problem = if clip.clip_id != field.clip_id || clip.clip_id != robot.clip_id {
-        format!(
-            "clip `{}`, robot maps of `{}` and field of `{}` do not belong together",
-            clip.clip_id, robot.clip_id, field.clip_id
-        )
-    } else if (clip.height, clip.width) != (field.height, field.width) {
-        format!(
-            "the field has {} x {} pixels a view, the clip {} x {}",
-            field.height, field.width, clip.height, clip.width
-        )
-    } else if field.frame_count as usize != frames {
-        format!("the field counts {} frames, the clip {frames}", field.frame_count)
-    } else if robot.base_from_camera.len() != clip.cameras.len() * frames {
-        format!(
-            "the robot maps have {} camera poses for {} cameras and {frames} frames",
-            robot.base_from_camera.len(),
-            clip.cameras.len()
-        )
-    } else if let Some(view) = field.views.iter().find(|view| view.camera.at() >= clip.cameras.len()) {
-        format!(
-            "the field has a view of camera {}, the clip has {} cameras",
-            view.camera,
-            clip.cameras.len()
-        )
-    } else if field.is_empty() {
-        "the field has no Gaussians".to_owned()
-    } else {
-        return Ok(());
-    };
-    Err(StageError::bad_input(problem).with_hint("all inputs of a job must come from one clip"))
+    let checked = field.check_beside(clip, robot);
+    checked.map_err(|problem| StageError::bad_input(problem).with_hint("all inputs of a job must come from one clip"))
 }

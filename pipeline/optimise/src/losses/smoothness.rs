@@ -9,7 +9,7 @@ use crate::losses::Loss;
 /// Mean length of the second differences over time. `values [series, frames, width]`
 ///
 /// # Errors
-/// When the length is no such shape, or there are fewer than three frames.
+/// For a length that does not match the shape, or fewer than three frames.
 pub fn acceleration(values: &[f32], frames: usize, width: usize) -> Result<Loss> {
     if frames < 3 {
         return Err(OptimiseError::Empty {
@@ -64,7 +64,7 @@ pub fn bases_smoothness(bases: &MotionBases) -> Result<(Loss, Vec<f32>)> {
 /// Half the mean length of the second differences of centres at three neighbouring frames. `means [G, 3 frames, B, 3]`
 ///
 /// # Errors
-/// When the length is no such shape.
+/// For a length that does not match the shape.
 pub fn track_smoothness(means: &[f32], batch: usize) -> Result<Loss> {
     let (gaussians, row) = neighbours(means, batch)?;
     let count = (gaussians * batch).max(1) as f64;
@@ -91,7 +91,7 @@ pub fn track_smoothness(means: &[f32], batch: usize) -> Result<Loss> {
 /// frames, B, 3]`, `centres [B]`: camera centres of the middle frames.
 ///
 /// # Errors
-/// When the length is no such shape.
+/// For a length that does not match the shape.
 pub fn ray_acceleration(means: &[f32], centres: &[DVec3]) -> Result<Loss> {
     let batch = centres.len();
     let (gaussians, row) = neighbours(means, batch)?;
@@ -130,7 +130,7 @@ pub fn ray_acceleration(means: &[f32], centres: &[DVec3]) -> Result<Loss> {
 /// Mean over the Gaussians of the unbiased variance of their three logarithmic scales. `log_scales [G, 3]`
 ///
 /// # Errors
-/// When the length is no such shape.
+/// For a length that does not match the shape.
 pub fn scale_variance(log_scales: &[f32]) -> Result<Loss> {
     let count = (log_scales.len() / 3).max(1) as f64;
     expect("logarithmic scales", log_scales.len() % 3, 0)?;
