@@ -5,6 +5,8 @@
 #[path = "support/golden.rs"]
 mod golden;
 
+use std::process::Command;
+
 use golden::GoldenRun;
 use rogs_r4c::read_record;
 use rogs_schemas::records::field::Field;
@@ -34,4 +36,43 @@ fn a_fit_is_made_and_scored_where_the_manifest_asks_for_it() {
     let table = run.rogs(&["table", "run", "--table", "main"]);
     assert!(table.lines().any(|line| line.starts_with("fit")), "{table}");
     assert!(!plan(&run).contains("will"), "everything is up to date");
+
+    // The report plays the fit beside the stages, and its bars come in the order in which the methods are made.
+    run.rogs(&["report", "run"]);
+    let page = std::fs::read_to_string(run.path().join("run/report/index.html")).unwrap();
+    for (number, name) in [(1, "Stage 1"), (2, "Stage 1+2"), (3, "Fit")] {
+        let script = format!("scenes/0001-{number}.js");
+        assert!(
+            page.contains(&format!(
+                "{{&quot;name&quot;:&quot;{name}&quot;,&quot;script&quot;:&quot;{script}&quot;}}"
+            )),
+            "{name}"
+        );
+        assert!(run.path().join("run/report").join(script).is_file(), "{name}");
+    }
+    let bars = &page[page.find("Methods: source PSNR").unwrap()..];
+    let at = |method: &str| bars.find(&format!(">{method}<")).unwrap();
+    assert!(at("stage1") < at("stage1+2") && at("stage1+2") < at("fit"));
+
+    // Corrections of the lifted field are not those of the fitted one, though both have as many Gaussians.
+    let folder = run.clip_folder();
+    let render = |field: &str| {
+        let mut command = Command::new(golden::ROGS);
+        command
+            .arg("render")
+            .arg(folder.join(field))
+            .arg("--refinement")
+            .arg(folder.join("field-2.r4c"));
+        command
+            .args(["--camera", "ext1", "--time", "0", "--out"])
+            .arg(folder.join("pictures"));
+        command.output().unwrap()
+    };
+    assert!(render("field-1.r4c").status.success());
+    let refused = render("field-fit.r4c");
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(
+        !refused.status.success() && said.contains("holds corrections of field"),
+        "{said}"
+    );
 }

@@ -39,7 +39,7 @@ pub use inspect::{ChunkTotals, InspectReport, StreamReport, inspect};
 pub use layout::{MAX_BLOCK, MAX_CHUNK, MAX_CHUNKS, MAX_FILE, MIN_FILE};
 pub use reader::{FileHeader, Limits, Reader, read_header, read_key, verify};
 pub use record::{Record, read_record, write_record};
-pub use records::FieldFile;
+pub use records::{FieldFile, read_refinement_of};
 pub use stream::{Codec, Dtype, Element, Frame, StreamInfo, StreamSpec, Unit};
 pub use writer::{Chunk, Writer};
 

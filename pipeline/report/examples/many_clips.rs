@@ -19,7 +19,7 @@ use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::records::scores::Scores;
-use rogs_schemas::{ClipId, Provenance};
+use rogs_schemas::{CacheKey, ClipId, Provenance};
 
 type Failable<T> = Result<T, Box<dyn Error>>;
 
@@ -43,6 +43,11 @@ fn main() -> Failable<()> {
     for clip in 0..many.clips.len() {
         let id = many.clips[clip].id.clone();
         let (keys, from_keys) = (many.keys(clip), plan.keys(source(clip)));
+        let lift = many
+            .nodes
+            .iter()
+            .position(|node| node.stage == StageId::Lift && !node.by_key);
+        let field = lift.map(|node| keys[node].key).unwrap_or_default();
         for node in 0..many.nodes.len() {
             let from = plan.output(
                 WorkUnit {
@@ -62,6 +67,7 @@ fn main() -> Failable<()> {
                 to: many.run.join(to),
                 key: &keys[node],
                 id: &id,
+                field,
             };
             if copy.from.is_file() {
                 copy.of_stage(many.nodes[node].stage)?;
@@ -78,6 +84,8 @@ struct Copy<'a> {
     to: PathBuf,
     key: &'a UnitKey,
     id: &'a ClipId,
+    /// Of the clip's own field.
+    field: CacheKey,
 }
 
 impl Copy<'_> {
@@ -88,7 +96,10 @@ impl Copy<'_> {
             StageId::RobotMaps => self.of::<RobotMaps>(|record| record.clip_id = id()),
             StageId::Agreement => self.of::<Agreements>(|record| record.clip_id = id()),
             StageId::Lift => self.of::<Field>(|record| record.clip_id = id()),
-            StageId::Refine => self.of::<Refinement>(|record| record.clip_id = id()),
+            StageId::Refine => self.of::<Refinement>(|record| {
+                record.clip_id = id();
+                record.field_key = self.field;
+            }),
             StageId::Score => self.of::<Scores>(|record| record.summary.clip_id = id()),
             // No report reads it.
             _ => Ok(()),

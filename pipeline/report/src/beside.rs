@@ -1,7 +1,7 @@
 //! Scenes of a run: which files they are made of, and the scripts beside the page.
 
 use std::io::Read as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -49,6 +49,7 @@ impl SceneFiles {
         Some(Self {
             field: clip.field.clone()?,
             refinement: clip.refinement.clone(),
+            fitted: clip.fitted.clone(),
             clip: clip.clip.clone()?,
             robot: clip.robot.clone()?,
         })
@@ -75,11 +76,8 @@ pub(crate) fn beside_page(
         scenes: Vec::new(),
         notes: Vec::new(),
     };
-    let names = ["Stage 1", "Stage 1+2"]
-        .into_iter()
-        .take(1 + usize::from(files.refinement.is_some()));
     let scripts: Vec<(&str, String)> = (1..)
-        .zip(names)
+        .zip(files.names())
         .map(|(number, name)| (name, format!("{FOLDER}/{:04}-{number}.js", index + 1)))
         .collect();
     let stamp = stamp(&files, robot.is_some());
@@ -113,13 +111,14 @@ pub(crate) fn beside_page(
 /// First line of a script, which says what it was made of.
 fn stamp(files: &SceneFiles, robot: bool) -> Option<String> {
     let field = read_key(&files.field).ok()?;
-    let refinement = match &files.refinement {
-        Some(path) => read_key(path).ok()?.to_string(),
-        None => String::new(),
+    let key = |path: &Option<PathBuf>| match path {
+        Some(path) => Some(read_key(path).ok()?.to_string()),
+        None => Some(String::new()),
     };
+    let (refinement, fitted) = (key(&files.refinement)?, key(&files.fitted)?);
     let mesh = if robot { "robot" } else { "" };
     Some(format!(
-        "/* rogs-scene {SCENE_VERSION} {field} {refinement} {mesh} */\n"
+        "/* rogs-scene {SCENE_VERSION} {field} {refinement} {fitted} {mesh} */\n"
     ))
 }
 

@@ -11,6 +11,9 @@ use rogs_score::tables::heading;
 /// Clips that a plot of clips shows at least: of fewer, a table says as much.
 const LEAST_CLIPS: usize = 3;
 
+/// Methods of rogs, as they are made one of another.
+const OWN: [&str; 3] = ["stage1", "stage1+2", "fit"];
+
 /// Methods that are compared, with the baseline first: those that are not variants of another.
 fn plain_methods(sheets: &[ScoreSheet]) -> Vec<&str> {
     let names: BTreeSet<&str> = sheets
@@ -138,7 +141,9 @@ pub(crate) fn bars(sheets: &[ScoreSheet]) -> Vec<Bars> {
         (Metric::Novel(ImageMetric::AbsRel), "novel AbsRel", "lower is better"),
         (Metric::RobotEpe, "robot EPE, mm", "lower is better"),
     ];
-    let methods = plain_methods(sheets);
+    let mut methods = plain_methods(sheets);
+    // Those of others come first, as in the tables of the paper.
+    methods.sort_by_key(|method| OWN.iter().position(|own| own == method));
     let settings: BTreeSet<&str> = sheets.iter().map(|sheet| sheet.setting.as_str()).collect();
     let of = |metric: Metric, setting: &str| -> Vec<(String, f64)> {
         let bar = |method: &&str| {

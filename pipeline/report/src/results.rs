@@ -61,6 +61,8 @@ pub(crate) struct ClipResults {
     pub(crate) fields: Vec<FieldFile>,
     /// What Stage 2 adds to it.
     pub(crate) refinement: Option<PathBuf>,
+    /// The field that `fit` made of it.
+    pub(crate) fitted: Option<PathBuf>,
     /// Scores by method, in the order of the plan; by node where the file cannot be read.
     pub(crate) scores: Vec<(String, PathBuf)>,
     /// What went wrong.
@@ -142,6 +144,7 @@ impl RunResults {
                     }
                 }
                 StageId::Refine if !node.by_key => clip.refinement = clip.refinement.take().or(Some(path)),
+                StageId::Fit if !node.by_key => clip.fitted = clip.fitted.take().or(Some(path)),
                 StageId::Score => match read_record::<Scores>(&path) {
                     // An outside method without a prediction for the clip: it does not count there.
                     Ok((scores, _)) if is_empty(&scores.summary) => {}

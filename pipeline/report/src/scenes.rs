@@ -5,19 +5,25 @@ use std::path::{Path, PathBuf};
 use rogs_export::scene::{LinkMesh, SceneCamera, SceneHead, ScenePicture, SceneWriter};
 use rogs_field::TimedField;
 use rogs_geometry::{Base, Link, Pose, PosedCamera, Recon};
-use rogs_r4c::{FieldFile, read_record};
+use rogs_r4c::{FieldFile, read_record, read_refinement_of};
 use rogs_robot::{Mesh, MeshScene, RobotModel, names};
 use rogs_schemas::records::clip::{CameraRole, Clip};
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::records::robot::{RobotMaps, RobotSpec};
 use rogs_schemas::units::LengthUnit;
-use rogs_schemas::{CameraIndex, FrameIndex};
+use rogs_schemas::{CameraIndex, ClipId, FrameIndex};
 
 use crate::pictures::photograph;
 
 /// Most triangles of a robot that is drawn.
 const MOST_TRIANGLES: usize = 300_000;
+/// Name of the scene of Stage 1.
+const STAGE_1: &str = "Stage 1";
+/// Name of the scene with the corrections of Stage 2.
+const STAGE_2: &str = "Stage 1+2";
+/// Name of the scene of the stage `fit`.
+const FITTED: &str = "Fit";
 /// Highest degree of harmonics that the viewer draws.
 const DEGREE: usize = 1;
 
@@ -41,13 +47,16 @@ pub enum SceneError {
     #[error(transparent)]
     Scene(#[from] rogs_export::Error),
     /// Files of different clips.
-    #[error("clip or robot maps belong to clip `{found}`, the field to `{expected}`")]
+    #[error("clip, robot maps or fitted field belong to clip `{found}`, the field to `{expected}`")]
     OtherClip {
         /// Clip of the file.
         found: String,
         /// Clip of the field.
         expected: String,
     },
+    /// A fitted field of other times.
+    #[error("the fitted field has other times than the field: make it again")]
+    OtherTimes,
 }
 
 /// Files that the scenes of a clip are made of.
@@ -57,6 +66,8 @@ pub struct SceneFiles {
     pub field: PathBuf,
     /// What Stage 2 adds.
     pub refinement: Option<PathBuf>,
+    /// The field that the stage `fit` made of it.
+    pub fitted: Option<PathBuf>,
     /// Cameras and recorded images.
     pub clip: PathBuf,
     /// Poses of cameras and links.
@@ -121,7 +132,17 @@ impl RobotMesh {
     }
 }
 
-/// The scenes of a clip, by name: of Stage 1, and with the corrections of Stage 2 where there are some.
+impl SceneFiles {
+    /// The names of the scenes, in the order in which [`scenes_of`] gives them.
+    #[must_use]
+    pub fn names(&self) -> Vec<&'static str> {
+        let more = [(&self.refinement, STAGE_2), (&self.fitted, FITTED)];
+        let more = more.into_iter().filter(|(path, _)| path.is_some());
+        [STAGE_1].into_iter().chain(more.map(|(_, name)| name)).collect()
+    }
+}
+
+/// The scenes of a clip, by name: of Stage 1, with the corrections of Stage 2, and of `fit`, where there are such.
 ///
 /// # Errors
 /// When a file cannot be read or belongs to another clip.
@@ -133,12 +154,7 @@ pub fn scenes_of(
     let (clip, _) = read_record::<Clip>(&files.clip)?;
     let (robot, _) = read_record::<RobotMaps>(&files.robot)?;
     for found in [&clip.clip_id, &robot.clip_id] {
-        if *found != field.held.clip_id {
-            return Err(SceneError::OtherClip {
-                found: found.to_string(),
-                expected: field.held.clip_id.to_string(),
-            });
-        }
+        same_clip(found, &field)?;
     }
     let times = field.file.times().to_vec();
     let mut head = head(&clip, &robot, &field.held, &times)?;
@@ -146,13 +162,14 @@ pub fn scenes_of(
     let meshes = robot_mesh.map(|mesh| mesh.of_links(&robot.link_names));
     let meshes = meshes.unwrap_or_default();
     drop((clip, robot));
-    let link_of = field.held.link.clone();
-    let mut write = |name: &'static str, refinement: Option<&Refinement>, own: bool| {
+    let mut write = |name: &'static str, field: &mut OneTime, refinement: Option<&Refinement>| {
         head.name = name.to_owned();
+        let link_of = field.held.link.clone();
+        // The viewer takes what scenes have in common from the first one.
+        let own = name == STAGE_1;
         let writer = SceneWriter {
             head: &head,
             link_of: &link_of,
-            // The viewer takes what scenes have in common from the first one.
             meshes: if own { &meshes } else { &[] },
             pictures: if own { &pictures } else { &[] },
             unit: LengthUnit::Internal,
@@ -169,12 +186,31 @@ pub fn scenes_of(
         })?;
         Ok::<_, SceneError>((name, bytes))
     };
-    let mut scenes = vec![write("Stage 1", None, true)?];
+    let mut scenes = vec![write(STAGE_1, &mut field, None)?];
     if let Some(path) = &files.refinement {
-        let (refinement, _) = read_record::<Refinement>(path)?;
-        scenes.push(write("Stage 1+2", Some(&refinement), false)?);
+        let refinement = read_refinement_of(path, field.file.key())?;
+        scenes.push(write(STAGE_2, &mut field, Some(&refinement))?);
+    }
+    if let Some(path) = &files.fitted {
+        let mut fitted = OneTime::open(path)?;
+        same_clip(&fitted.held.clip_id, &field)?;
+        if fitted.file.times() != times {
+            return Err(SceneError::OtherTimes);
+        }
+        scenes.push(write(FITTED, &mut fitted, None)?);
     }
     Ok(scenes)
+}
+
+/// Refuses a file of another clip than that of the field.
+fn same_clip(found: &ClipId, field: &OneTime) -> Result<(), SceneError> {
+    if *found == field.held.clip_id {
+        return Ok(());
+    }
+    Err(SceneError::OtherClip {
+        found: found.to_string(),
+        expected: field.held.clip_id.to_string(),
+    })
 }
 
 /// A field of which one time is in memory.

@@ -58,6 +58,16 @@ pub struct RefinementStep {
 }
 
 impl Refinement {
+    /// The correction is one of the field whose file has this key; another field of as many Gaussians is not its own.
+    ///
+    /// # Errors
+    /// That it corrects another field, in words.
+    pub fn check_corrects(&self, field: CacheKey) -> Check {
+        ensure(self.field_key == field, || {
+            format!("the refinement corrects field {}, not {field}", self.field_key)
+        })
+    }
+
     /// The arrays agree with the counts, and every number is possible.
     ///
     /// # Errors

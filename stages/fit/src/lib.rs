@@ -68,11 +68,9 @@ impl Stage for Fit {
             }
             (StartFrom::Lifted, _) => None,
         };
-        if let (Some(refinement), Some(key)) = (&refinement, context.input_key("field"))
-            && refinement.field_key != key
-        {
-            let message = format!("the refinement corrects field {}, not {key}", refinement.field_key);
-            return Err(StageError::bad_input(message).with_hint("give the field that `refine` was run on"));
+        if let (Some(refinement), Some(key)) = (&refinement, context.input_key("field")) {
+            let checked = refinement.check_corrects(key);
+            checked.map_err(|what| StageError::bad_input(what).with_hint("give the field that `refine` was run on"))?;
         }
         let inputs = ClipInputs {
             clip: &clip,

@@ -150,11 +150,9 @@ impl Score {
         let refinement = (!fitted && context.optional_input("refinement").is_some())
             .then(|| context.read::<Refinement>("refinement"));
         let refinement = refinement.transpose()?;
-        if let (Some(refinement), Some(key)) = (&refinement, context.input_key("field"))
-            && refinement.field_key != key
-        {
-            let message = format!("the refinement corrects field {}, not {key}", refinement.field_key);
-            return Err(StageError::bad_input(message).with_hint("give the field that `refine` was run on"));
+        if let (Some(refinement), Some(key)) = (&refinement, context.input_key("field")) {
+            let checked = refinement.check_corrects(key);
+            checked.map_err(|what| StageError::bad_input(what).with_hint("give the field that `refine` was run on"))?;
         }
         check_field(clip, &field)?;
         let timed = corrected(&field, refinement.as_ref(), self.params.update)?;

@@ -8,7 +8,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use rogs_field::TimedField;
 use rogs_geometry::Pose;
-use rogs_r4c::read_record;
+use rogs_r4c::read_refinement_of;
 use rogs_schemas::records::field::Field;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::units::LengthUnit;
@@ -33,7 +33,7 @@ impl FieldFile {
     fn new(path: PathBuf, refinement: Option<PathBuf>) -> PyResult<Self> {
         let file = rogs_r4c::FieldFile::open(&path).map_err(read)?;
         let refinement = match refinement {
-            Some(path) => Some(read_record::<Refinement>(&path).map_err(read)?.0),
+            Some(path) => Some(read_refinement_of(&path, file.key()).map_err(read)?),
             None => None,
         };
         Ok(Self {

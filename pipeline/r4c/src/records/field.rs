@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use rogs_schemas::records::check::{area, count, nonzero, product};
 use rogs_schemas::records::clip::SourceView;
 use rogs_schemas::records::field::{Field, RAW_CHANNELS, TimeSlice, WeightsInfo};
-use rogs_schemas::{ClipId, RigidPose, SchemaId};
+use rogs_schemas::{CacheKey, ClipId, RigidPose, SchemaId};
 use serde::{Deserialize, Serialize};
 
 use super::arrays::{self, ArrayHead};
@@ -190,6 +190,12 @@ impl FieldFile {
         let area = area(head.height, head.width).map_err(|what| reader.inconsistent(what))?;
         product("Gaussians", &[area, head.views.len()]).map_err(|what| reader.inconsistent(what))?;
         Ok(Self { reader, head })
+    }
+
+    /// The cache key of the file.
+    #[must_use]
+    pub fn key(&self) -> CacheKey {
+        self.reader.provenance().key()
     }
 
     /// Stored normalised times, ascending.

@@ -12,3 +12,4 @@ mod robot;
 mod scores;
 
 pub use field::FieldFile;
+pub use refinement::read_refinement_of;

@@ -1,5 +1,7 @@
 //! How a refinement lies in its container: blocks of Gaussians.
 
+use std::path::Path;
+
 use rogs_schemas::records::check::{count, nonzero, product};
 use rogs_schemas::records::field::WeightsInfo;
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
@@ -7,9 +9,9 @@ use rogs_schemas::{CacheKey, ClipId, SchemaId};
 use serde::{Deserialize, Serialize};
 
 use super::arrays::{self, ArrayHead};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::reader::Reader;
-use crate::record::Record;
+use crate::record::{Record, read_record};
 use crate::stream::{Codec, Dtype, Frame, StreamSpec, Unit};
 use crate::writer::Writer;
 
@@ -133,5 +135,21 @@ impl Record for Refinement {
         };
         refinement.check().map_err(wrong)?;
         Ok(refinement)
+    }
+}
+
+/// Reads the corrections of the field whose file has this key.
+///
+/// # Errors
+/// When the file is missing or damaged, or corrects another field: one of as many Gaussians would look right and be wrong.
+pub fn read_refinement_of(path: &Path, field: CacheKey) -> Result<Refinement> {
+    let (refinement, _) = read_record::<Refinement>(path)?;
+    match refinement.check_corrects(field) {
+        Ok(()) => Ok(refinement),
+        Err(_) => Err(Error::WrongKind {
+            path: path.to_owned(),
+            found: format!("corrections of field {}", refinement.field_key),
+            expected: format!("those of field {field}"),
+        }),
     }
 }

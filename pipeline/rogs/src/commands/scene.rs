@@ -6,7 +6,7 @@ use anyhow::Context as _;
 use rogs_field::TimedField;
 use rogs_geometry::{Base, Pose, PosedCamera, Recon};
 use rogs_lift::FieldQuery;
-use rogs_r4c::read_record;
+use rogs_r4c::{read_record, read_refinement_of};
 use rogs_schemas::CameraIndex;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::Field;
@@ -39,7 +39,7 @@ impl FieldFile {
             anyhow::bail!("time {time} is outside the clip, which spans 0 to 1");
         }
         let refinement = match refinement {
-            Some(path) => Some(read_record::<Refinement>(path)?.0),
+            Some(path) => Some(read_refinement_of(path, info.provenance.key())?),
             None => None,
         };
         let stored = times.iter().all(|time| field.slice_at(*time).is_some());

@@ -3,11 +3,12 @@
 mod request;
 mod server;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::sync::{Arc, OnceLock};
 
 use anyhow::{Context as _, bail, ensure};
+use rogs_r4c::{read_header, read_key};
 use rogs_report::{Player, RobotMesh, RunResults, SceneFiles, SceneSource, scenes_of, viewer_page};
 use rogs_schemas::records::robot::RobotSpec;
 
@@ -22,7 +23,7 @@ use crate::output;
 pub(crate) struct Args {
     /// A run folder, or a field (`field-1.r4c`).
     scene: PathBuf,
-    /// Correction of Stage 2 to show beside a field. Default: `field-2.r4c` beside it, where there is one.
+    /// Correction of Stage 2 to show beside a field. Default: `field-2.r4c` beside it, where it was made of this field.
     #[arg(long, value_name = "FILE")]
     refinement: Option<PathBuf>,
     /// Robot description to draw over a field; runs know theirs.
@@ -123,13 +124,11 @@ fn of_field(args: &Args) -> anyhow::Result<(String, Clips, Option<RobotMesh>)> {
     ensure!(args.clip.is_empty(), "`--clip` chooses clips of a run; a field is one");
     let field = &args.scene;
     let beside = |given: &Option<PathBuf>, name: &str| given.clone().unwrap_or_else(|| field.with_file_name(name));
-    let corrected = field.with_file_name("field-2.r4c");
+    let made_of_it = |name: &str| Some(field.with_file_name(name)).filter(|path| made_of(path, field));
     let files = SceneFiles {
         field: field.clone(),
-        refinement: args
-            .refinement
-            .clone()
-            .or(Some(corrected).filter(|path| path.is_file())),
+        refinement: args.refinement.clone().or_else(|| made_of_it("field-2.r4c")),
+        fitted: made_of_it("field-fit.r4c"),
         clip: beside(&args.beside.clip_file, "clip.r4c"),
         robot: beside(&args.beside.robot, "robot.r4c"),
     };
@@ -147,18 +146,24 @@ fn of_field(args: &Args) -> anyhow::Result<(String, Clips, Option<RobotMesh>)> {
     Ok((title.clone(), vec![(title, files)], robot))
 }
 
+/// Whether a file was made of this field.
+fn made_of(path: &Path, field: &Path) -> bool {
+    let (Ok(made), Ok(key)) = (read_header(path), read_key(field)) else {
+        return false;
+    };
+    let inputs = &made.info.provenance.material.inputs;
+    inputs.get("field").is_some_and(|own| *own == key.to_string())
+}
+
 impl Viewer {
     fn new(title: &str, clips: Clips, robot: Option<RobotMesh>) -> Self {
         let player = |(index, (name, files)): (usize, &(String, SceneFiles))| {
-            let names = ["Stage 1", "Stage 1+2"]
-                .into_iter()
-                .take(1 + usize::from(files.refinement.is_some()));
             let source = |(number, name): (usize, &str)| {
                 (name.to_owned(), SceneSource::Address(format!("scene/{index}/{number}")))
             };
             Player {
                 name: name.clone(),
-                scenes: names.enumerate().map(source).collect(),
+                scenes: files.names().into_iter().enumerate().map(source).collect(),
                 notes: Vec::new(),
             }
         };
