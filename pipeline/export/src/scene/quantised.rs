@@ -24,13 +24,22 @@ pub(super) type Attributes = [i16; ATTRIBUTES];
 const NOTHING: Attributes = [0, 0, 0, 63, 0, 0, 0, 0, 0, 0, 0];
 
 fn steps(value: f32, step: f32) -> i16 {
-    // `as` keeps to the range.
-    libm::roundf(value / step) as i16
+    let steps = nearest(value / step);
+    steps.clamp(i16::MIN.into(), i16::MAX.into()) as i16
+}
+
+/// The nearest integer, halves away from zero, within the range; 0 of what is not a number. What `libm::roundf` gives, in
+/// few instructions on any processor: packing a field rounds a million numbers a time.
+fn nearest(value: f32) -> i32 {
+    // `as` cuts off, and keeps to the range.
+    let whole = value as i32;
+    let rest = value - whole as f32;
+    whole.saturating_add(i32::from(rest >= 0.5) - i32::from(rest <= -0.5))
 }
 
 /// The centre of a Gaussian in steps; 0 where it is not finite.
 pub(super) fn centre(gaussians: &Gaussians, unit: LengthUnit, index: usize) -> [i32; 3] {
-    std::array::from_fn(|k| libm::roundf(unit.to_m(gaussians.means[3 * index + k]) / POSITION_STEP_M) as i32)
+    std::array::from_fn(|k| nearest(unit.to_m(gaussians.means[3 * index + k]) / POSITION_STEP_M))
 }
 
 /// The other attributes in steps. A colour with harmonics is its plain part.
@@ -104,4 +113,31 @@ pub(super) fn gaussians(centres: &[i32], attributes: &[Attributes], degree: usiz
     }
     out.colour = Colour::Sh { degree, coefficients };
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_integer_is_that_of_libm() {
+        let edges = [
+            0.0,
+            0.5,
+            1.5,
+            2.5,
+            8_388_607.5,
+            8_388_609.0,
+            2.147_483_6e9,
+            4e9,
+            f32::INFINITY,
+            f32::NAN,
+        ];
+        let many = (0..2_000_000).map(|bits| f32::from_bits(bits * 2_147));
+        for value in edges.into_iter().chain(many) {
+            for value in [value, -value, value.next_up(), value.next_down()] {
+                assert_eq!(nearest(value), libm::roundf(value) as i32, "{value:e}");
+            }
+        }
+    }
 }
