@@ -1,10 +1,15 @@
-//! Depth maps: the median filter and the normals of `docs/spec/baseline-som.md` sections 1 and 4.
+//! Depth maps: alignment, median filter and normals of `docs/spec/baseline-som.md` sections 1 and 4.
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use rogs_geometry::Pinhole;
 
 use crate::error::{OptimiseError, Result, expect};
+use crate::statistics::{lower_median, quantile};
+
+/// Depths and disparities are kept between these.
+const NEAREST: f64 = 1e-6;
+const FARTHEST: f64 = 1e6;
 
 /// Lower medians of the `side` x `side` windows around every pixel; the image is reflected at its borders without doubling
 /// the border pixel. `depth [height, width]`, `side` odd
@@ -48,6 +53,33 @@ pub fn median_filter(depth: &[f32], height: usize, width: usize, side: usize) ->
     Ok(out)
 }
 
+/// Depth of a relative disparity map (0 to 1) that was brought to the metric depth of the same image by one factor and one
+/// offset: `s = median((d - median d + 1e-8) / (m - median m + 1e-8))`, `o = median(d - s m)` with `d = 1 / depth`; what is then
+/// below 1e-6 and below the 1 % quantile counts as infinitely far, depth 1e6. `[height, width]`
+///
+/// # Errors
+/// When the lengths differ.
+pub fn aligned_depth(relative: &[f32], metric_m: &[f32]) -> Result<Vec<f32>> {
+    expect("relative disparities", relative.len(), metric_m.len())?;
+    let disparity = |depth: &f32| 1.0 / f64::from(*depth).clamp(NEAREST, FARTHEST);
+    let wanted: Vec<f64> = metric_m.iter().map(disparity).collect();
+    let given: Vec<f64> = relative.iter().map(|&value| f64::from(value)).collect();
+    let median = |values: &[f64]| lower_median(values).unwrap_or(0.0);
+    let (middle, own_middle) = (median(&wanted), median(&given));
+    let ratios = wanted.iter().zip(&given);
+    let ratios: Vec<f64> = ratios.map(|(d, m)| (d - middle + 1e-8) / (m - own_middle + 1e-8)).collect();
+    let scale = median(&ratios);
+    let offsets: Vec<f64> = wanted.iter().zip(&given).map(|(d, m)| d - scale * m).collect();
+    let offset = median(&offsets);
+    let aligned: Vec<f64> = given.iter().map(|m| scale * m + offset).collect();
+    let least = quantile(&aligned, 0.01).unwrap_or(0.0).min(NEAREST);
+    let depth = |&value: &f64| {
+        let value = if value < least { 0.0 } else { value };
+        (1.0 / value.clamp(NEAREST, FARTHEST)) as f32
+    };
+    Ok(aligned.iter().map(depth).collect())
+}
+
 /// Unit normals of a depth map in the world: `cross(right - left, top - bottom)` of the neighbouring points; 0 at the
 /// border and where the points span no plane. Depths lie at integer pixel coordinates of `camera`, which counts pixel
 /// centres at integers; `world_from_camera` turns directions. `[height, width]`
@@ -81,6 +113,23 @@ pub fn normals(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn relative_disparity_takes_the_metres_of_metric_depth() {
+        let metric: Vec<f32> = (0..99).map(|k| 0.5 + (k * 37 % 99) as f32 * 0.03).collect();
+        let relative: Vec<f32> = metric.iter().map(|depth| (1.0 / depth - 0.2) / 3.0).collect();
+        let found = aligned_depth(&relative, &metric).unwrap();
+        for (found, expected) in found.iter().zip(&metric) {
+            assert!((found - expected).abs() < 1e-4 * expected, "{found} {expected}");
+        }
+        // An estimator that is wrong in a fifth of the image does not move the others.
+        let mut outliers = metric.clone();
+        outliers.iter_mut().step_by(5).for_each(|depth| *depth *= 3.0);
+        let found = aligned_depth(&relative, &outliers).unwrap();
+        let off = found.iter().zip(&metric).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f32::max);
+        assert!(off < 0.3, "{off}");
+        assert!(aligned_depth(&relative[1..], &metric).is_err());
+    }
 
     #[test]
     fn borders_are_reflected() {

@@ -9,7 +9,9 @@
 //! | [`procrustes`] | the rigid motion that takes one set of points to another |
 //! | [`clusters`] | points that move alike |
 //! | [`tracks`] | 2D tracks with depth become 3D tracks |
-//! | [`depth_maps`] | filtered depth, normals of a depth map |
+//! | [`depth_maps`] | aligned and filtered depth, normals of a depth map |
+//! | [`masks`] | foreground, background and the band between |
+//! | [`neighbours`] | distances to the nearest points |
 //!
 //! The motion model and the losses are those of Shape of Motion (`docs/spec/baseline-som.md`); the stage `fit` takes what
 //! it needs of them. Images are rendered and differentiated by `rogs_splat`; this crate knows no rasteriser, no file and no
@@ -21,6 +23,8 @@ pub mod clusters;
 pub mod depth_maps;
 pub mod error;
 pub mod losses;
+pub mod masks;
+pub mod neighbours;
 pub mod procrustes;
 pub mod six;
 pub mod statistics;

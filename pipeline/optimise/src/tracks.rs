@@ -125,8 +125,10 @@ pub fn lift_tracks(
     })
 }
 
-/// Bilinear sample with pixel centres at integers; places beyond the border count as on it.
-fn clamped_sample(image: &[f32], height: usize, width: usize, channels: usize, [x, y]: [f32; 2]) -> [f32; 3] {
+/// Bilinear sample with pixel centres at integers; places beyond the border count as on it. Of up to three channels; what
+/// there is not is 0. `[height, width, channels]`, neither side 0
+#[must_use]
+pub fn clamped_sample(image: &[f32], height: usize, width: usize, channels: usize, [x, y]: [f32; 2]) -> [f32; 3] {
     let split = |place: f32, length: usize| {
         let place = place.clamp(0.0, (length - 1) as f32);
         let low = place.floor() as usize;

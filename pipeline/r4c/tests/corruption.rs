@@ -19,7 +19,9 @@ use rogs_schemas::records::agreement::Agreements;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::field::Field;
+use rogs_schemas::records::motion_bases::MotionBasisField;
 use rogs_schemas::records::polynomial::PolynomialField;
+use rogs_schemas::records::progress::Progress;
 use rogs_schemas::records::references::References;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::records::robot::RobotMaps;
@@ -73,6 +75,8 @@ fn a_flipped_bit_of_every_byte_is_noticed_in_every_record() {
     flips_are_noticed::<References>("references", &common::references(), false);
     flips_are_noticed::<Agreements>("agreement", &common::agreement(), false);
     flips_are_noticed::<PolynomialField>("polynomial", &common::polynomial(), false);
+    flips_are_noticed::<MotionBasisField>("motion-bases", &common::motion_bases(), false);
+    flips_are_noticed::<Progress>("progress", &common::progress(), false);
     flips_are_noticed::<Refinement>("refinement", &common::refinement(), false);
     flips_are_noticed::<Scores>("scores", &common::scores(), false);
     let mut field = common::field();

@@ -60,6 +60,8 @@ fn every_schema_version_stays_readable() {
     stays("agreement", &common::agreement());
     stays("field", &common::field());
     stays("polynomial-field", &common::polynomial());
+    stays("motion-basis-field", &common::motion_bases());
+    stays("progress", &common::progress());
     stays("refinement", &common::refinement());
     stays("scores", &common::scores());
 }

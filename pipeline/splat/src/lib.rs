@@ -61,8 +61,8 @@ mod simd;
 mod tile;
 
 pub use backward::{
-    Gradients, PoseGradient, RenderGradient, Tape, backward, backward_into, backward_views, render_views_with_tape,
-    render_with_tape,
+    Gradients, PoseGradient, RenderGradient, Tape, backward, backward_into, backward_views, backward_with_screen,
+    render_views_with_tape, render_with_tape,
 };
 pub use camera::{Mode, RasterCamera, RasterConfig};
 pub use contributions::{Contributions, Eligible, render_views_with_contributions, render_with_contributions};

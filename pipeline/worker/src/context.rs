@@ -7,6 +7,7 @@ use std::time::Instant;
 use rogs_r4c::Record;
 use rogs_schemas::ClipId;
 use rogs_schemas::key::{CacheKey, ContentHash, Provenance};
+use rogs_schemas::records::progress::Progress;
 
 use crate::error::{StageError, StageResult};
 use crate::observer::Observer;
@@ -21,6 +22,11 @@ pub struct Context<'a> {
     warnings: Vec<String>,
     seconds: BTreeMap<String, f64>,
     written: Option<ContentHash>,
+}
+
+/// Where a job keeps how far it has come: `field-som.progress.r4c` beside `field-som.r4c`.
+pub(crate) fn kept_beside(output: &Path) -> PathBuf {
+    output.with_extension("progress.r4c")
 }
 
 /// What is left of a context after the stage ran.
@@ -127,6 +133,26 @@ impl Context<'_> {
         Ok(())
     }
 
+    /// What a run of this very job (same key) kept with [`keep`](Self::keep) before it was killed. A file that is damaged, or
+    /// of another key, counts as none: the job then begins at its beginning.
+    #[must_use]
+    pub fn kept(&self) -> Option<Progress> {
+        let (progress, info) = rogs_r4c::read_record::<Progress>(&kept_beside(self.output)).ok()?;
+        (info.provenance.material == self.provenance.material).then_some(progress)
+    }
+
+    /// Keeps how far the job has come beside its output, in place of what was kept before. It is taken away when the job has
+    /// ended; where it is killed, [`kept`](Self::kept) gives it to the next run of the same job.
+    ///
+    /// # Errors
+    /// When writing fails.
+    pub fn keep(&mut self, progress: &Progress) -> StageResult<()> {
+        let start = Instant::now();
+        rogs_r4c::write_record(&kept_beside(self.output), progress, &self.provenance)?;
+        *self.seconds.entry("keep".to_owned()).or_default() += start.elapsed().as_secs_f64();
+        Ok(())
+    }
+
     /// Reports progress, `fraction` in 0..=1.
     pub fn progress(&mut self, fraction: f64, message: &str) {
         (self.progress)(fraction, message);
@@ -162,5 +188,9 @@ impl Observer for Context<'_> {
 
     fn warn(&mut self, warning: String) {
         Context::warn(self, warning);
+    }
+
+    fn keep(&mut self, progress: &Progress) -> StageResult<()> {
+        Context::keep(self, progress)
     }
 }

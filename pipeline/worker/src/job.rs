@@ -8,9 +8,9 @@ use std::sync::{Mutex, Once, PoisonError};
 use std::time::{Instant, SystemTime};
 
 use rogs_schemas::key::{CacheKey, Provenance};
-use rogs_schemas::protocol::Job;
+use rogs_schemas::protocol::{FailureCode, Job};
 
-use crate::context::Context;
+use crate::context::{Context, kept_beside};
 use crate::error::{StageError, StageResult};
 use crate::params::{canonical, parse_params};
 use crate::stage::Stage;
@@ -59,6 +59,11 @@ impl<S: Stage> Runner<S> {
         *lock(&CURRENT) = Some(job.output.clone());
         let result = self.guarded(job, &params, progress);
         rogs_files::remove_own(&job.output);
+        // A full disk or a network that is away may be mended: then the next attempt goes on.
+        let may_help = |error: &StageError| matches!(error.code, FailureCode::Io | FailureCode::Resource);
+        if !result.as_ref().is_err_and(may_help) {
+            let _ = std::fs::remove_file(kept_beside(&job.output));
+        }
         *lock(&CURRENT) = None;
         let mut report = result?;
         report.seconds.insert("total".to_owned(), start.elapsed().as_secs_f64());

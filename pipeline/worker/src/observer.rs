@@ -2,6 +2,10 @@
 
 use std::time::Instant;
 
+use rogs_schemas::records::progress::Progress;
+
+use crate::error::StageResult;
+
 /// Hears how far a computation is, what its parts cost, and what a person should know.
 ///
 /// [`Context`](crate::Context) is the observer of a job; [`Unobserved`] hears nothing. A computation takes
@@ -27,6 +31,14 @@ pub trait Observer {
 
     /// Something a person should know; the work continues.
     fn warn(&mut self, _warning: String) {}
+
+    /// Keeps how far the work has come, in place of what was kept before: a job that is killed goes on from there.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    fn keep(&mut self, _progress: &Progress) -> StageResult<()> {
+        Ok(())
+    }
 }
 
 impl dyn Observer + '_ {
@@ -89,6 +101,10 @@ impl Observer for Part<'_> {
 
     fn warn(&mut self, warning: String) {
         self.whole.warn(warning);
+    }
+
+    fn keep(&mut self, progress: &Progress) -> StageResult<()> {
+        self.whole.keep(progress)
     }
 }
 

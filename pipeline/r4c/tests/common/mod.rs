@@ -13,8 +13,10 @@ use rogs_schemas::records::clip::{
 };
 use rogs_schemas::records::conditioning::{Conditioning, GripperPrior, ViewConditioning};
 use rogs_schemas::records::field::{Field, NamedArray, RAW_CHANNELS, TimeSlice, WeightsInfo};
+use rogs_schemas::records::motion_bases::{BasisGaussians, MotionBasisField};
 use rogs_schemas::records::origin::{ReferenceKind, ReferenceOrigin, ReferenceUse};
 use rogs_schemas::records::polynomial::{PolynomialField, Polynomials};
+use rogs_schemas::records::progress::Progress;
 use rogs_schemas::records::references::{MadeDepth, References};
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
@@ -263,6 +265,50 @@ pub(crate) fn polynomial() -> PolynomialField {
             opacity: floats(77, count),
             rgb: floats(78, 3 * count),
         },
+    }
+}
+
+pub(crate) fn motion_bases() -> MotionBasisField {
+    let camera = |camera: u32, bases: usize, foreground: usize, background: usize| {
+        let (frames, n) = (3, foreground + background);
+        let gaussians = BasisGaussians {
+            bases,
+            frames,
+            rotations: floats(80, bases * frames * 6),
+            translations: floats(81, bases * frames * 3),
+            coefficients: floats(82, foreground * bases),
+            means: floats(83, 3 * n),
+            quats: floats(84, 4 * n),
+            scales: floats(85, 3 * n),
+            opacities: floats(86, n),
+            colours: floats(87, 3 * n),
+        };
+        (CameraIndex(camera), gaussians)
+    };
+    MotionBasisField {
+        clip_id: "clip".parse().unwrap(),
+        frame_count: 3,
+        weights: WeightsInfo {
+            trained: true,
+            configuration: "som".into(),
+            description: "optimised".into(),
+            hash: String::new(),
+        },
+        cameras: vec![camera(0, 2, 4, 3), camera(2, 1, 2, 1)],
+    }
+}
+
+pub(crate) fn progress() -> Progress {
+    let array = |name: &str, length: usize| NamedArray {
+        name: name.into(),
+        shape: vec![length as u32],
+        data: floats(90, length),
+    };
+    Progress {
+        clip_id: "clip".parse().unwrap(),
+        counters: vec![("updates".into(), 300), ("camera".into(), 1)],
+        arrays: vec![array("means", 12), array("none", 0), array("logits", 5)],
+        notes: vec![("wrist".into(), "a factor".into())],
     }
 }
 

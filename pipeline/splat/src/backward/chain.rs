@@ -36,6 +36,8 @@ pub(super) struct Rows<'a> {
     pub(super) opacities: &'a mut [f32],
     pub(super) colours: &'a mut [f32],
     pub(super) extra: &'a mut [f32],
+    /// Empty where nobody asks for it.
+    pub(super) screen: &'a mut [f32],
 }
 
 /// Sums over Gaussians.
@@ -65,6 +67,7 @@ struct Output {
     quat: [L; 4],
     scale: [L; 3],
     opacity: L,
+    screen: [L; 2],
     /// Rotation 9, translation 3.
     camera: [L; 12],
     /// 0 where all of the above are finite, not a number elsewhere.
@@ -164,6 +167,9 @@ impl Chain<'_> {
         add(&mut self.rows.opacities[row..=row], &[opacity]);
         let channels = extra.len();
         add(&mut self.rows.extra[channels * row..channels * (row + 1)], extra);
+        if let Some(screen) = self.rows.screen.get_mut(2 * row..2 * row + 2) {
+            add(screen, &[output.screen[0][lane], output.screen[1][lane]]);
+        }
         true
     }
 
@@ -248,6 +254,7 @@ impl Output {
             quat: [zero; 4],
             scale: [zero; 3],
             opacity: zero,
+            screen: [zero; 2],
             camera: [zero; 12],
             check: zero,
         }
@@ -395,6 +402,8 @@ fn chain_lanes(input: &Input, view: &View, config: &RasterConfig, out: &mut Outp
             out.quat[k][lane] = g_quat[k];
         }
         out.opacity[lane] = g_opacity;
+        out.screen[0][lane] = g_mx;
+        out.screen[1][lane] = g_my;
         let mut check = g_opacity * 0.0;
         for k in 0..3 {
             check += out.mean[k][lane] * 0.0 + out.scale[k][lane] * 0.0 + sum(6 + k) * 0.0;

@@ -68,6 +68,8 @@ pub struct Gradients {
     pub camera_translation: [f64; 3],
     /// Gaussians whose gradient left the range of f32 and was replaced by zeros.
     pub not_finite: usize,
+    /// With respect to the centres in the image, pixels; empty unless [`backward_with_screen`] was asked. `[N, 2]`
+    pub screen: Vec<f32>,
 }
 
 impl Gradients {
@@ -85,11 +87,22 @@ impl Gradients {
             camera_rotation: [0.0; 9],
             camera_translation: [0.0; 3],
             not_finite: 0,
+            screen: Vec::new(),
         }
     }
 }
 
 impl Tape {
+    /// Indices of the Gaussians that reach the image, ascending.
+    #[must_use]
+    pub fn visible(&self) -> Vec<u32> {
+        let chunks = self.projection.chunks.iter().enumerate();
+        chunks
+            .flat_map(|(chunk, bins)| &self.projection.records[chunk * CHUNK..chunk * CHUNK + bins.visible])
+            .map(|record| record.gaussian)
+            .collect()
+    }
+
     /// Number of Gaussians that contribute to each pixel. `[H, W]`
     #[must_use]
     pub fn contributors(&self) -> Vec<u32> {
@@ -129,6 +142,24 @@ pub fn backward(
     gradient: &RenderGradient<'_>,
 ) -> Result<Gradients> {
     Ok(backward_views(gaussians, config, std::slice::from_ref(tape), &[*gradient])?.0)
+}
+
+/// As [`backward`], with the gradients with respect to the centres in the image ([`Gradients::screen`]).
+///
+/// # Errors
+/// As [`backward`].
+pub fn backward_with_screen(
+    gaussians: &Gaussians,
+    config: &RasterConfig,
+    tape: &Tape,
+    gradient: &RenderGradient<'_>,
+) -> Result<Gradients> {
+    let mut sum = Gradients {
+        screen: vec![0.0; 2 * gaussians.len()],
+        ..Gradients::zeros(gaussians)
+    };
+    views::add(gaussians, config, std::slice::from_ref(tape), &[*gradient], true, &mut sum)?;
+    Ok(sum)
 }
 
 /// As [`backward`], added to gradients that are there already (of other views). The camera gradients add up too: keep

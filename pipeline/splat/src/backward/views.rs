@@ -146,7 +146,11 @@ fn check_room(gaussians: &Gaussians, into: &Gradients) -> Result<()> {
         "gradients of the extra channels",
         into.extra.len(),
         gaussians.extra.len(),
-    )
+    )?;
+    if into.screen.is_empty() {
+        return Ok(());
+    }
+    check("gradients of the centres in the image", into.screen.len(), 2 * gaussians.len())
 }
 
 /// Carries the tiles' sums through the projection, chunk by chunk.
@@ -159,16 +163,18 @@ fn gather(pass: &Pass<'_>, touched: &[Touched], rows: &[f32], fresh: bool, into:
     } = *pass;
     let channels = gaussians.extra_channels;
     let colours = gaussians.colour.values_per_gaussian();
+    let screen = if into.screen.is_empty() { 0 } else { 2 };
     let cameras: Vec<chain::CameraGradient> = (into.means.par_chunks_mut(3 * CHUNK))
         .zip(into.quats.par_chunks_mut(4 * CHUNK))
         .zip(into.scales.par_chunks_mut(3 * CHUNK))
         .zip(into.opacities.par_chunks_mut(CHUNK))
         .zip(into.colour.par_chunks_mut(colours * CHUNK))
         .zip(chunks_or_empty(&mut into.extra, channels, tape.projection.chunks.len()))
+        .zip(chunks_or_empty(&mut into.screen, screen, tape.projection.chunks.len()))
         .enumerate()
         .map_init(
             Vec::new,
-            |sums, (chunk, (((((means, quats), scales), opacities), colours), extra))| {
+            |sums, (chunk, ((((((means, quats), scales), opacities), colours), extra), screen))| {
                 pass.sums(touched, rows, chunk, sums);
                 let first = chunk * CHUNK;
                 let visible = tape.projection.chunks[chunk].visible;
@@ -187,6 +193,7 @@ fn gather(pass: &Pass<'_>, touched: &[Touched], rows: &[f32], fresh: bool, into:
                         opacities,
                         colours,
                         extra,
+                        screen,
                     },
                 };
                 dispatch(config.simd, kernel)

@@ -127,6 +127,7 @@ pub fn backward_views(tape: &GpuTape, gradients: &[RenderGradient<'_>]) -> Resul
         camera_rotation: [0.0; 9],
         camera_translation: [0.0; 3],
         not_finite,
+        screen: Vec::new(),
     };
     for pose in &poses {
         for k in 0..9 {

@@ -22,7 +22,7 @@ pub fn file(ending: &str, bytes: &[u8]) -> PathBuf {
 pub fn records(path: &Path) {
     use rogs_r4c::read_record;
     use rogs_schemas::records::{
-        agreement, clip, conditioning, field, polynomial, references, refinement, robot, scores,
+        agreement, clip, conditioning, field, motion_bases, polynomial, progress, references, refinement, robot, scores,
     };
 
     let _ = read_record::<clip::Clip>(path);
@@ -32,6 +32,8 @@ pub fn records(path: &Path) {
     let _ = read_record::<agreement::Agreements>(path);
     let _ = read_record::<field::Field>(path);
     let _ = read_record::<polynomial::PolynomialField>(path);
+    let _ = read_record::<motion_bases::MotionBasisField>(path);
+    let _ = read_record::<progress::Progress>(path);
     let _ = read_record::<refinement::Refinement>(path);
     let _ = read_record::<scores::Scores>(path);
 }
