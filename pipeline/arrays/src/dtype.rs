@@ -167,6 +167,7 @@ macro_rules! scalars {
 
 scalars! {
     u8 => U8, u8::to_le;
+    u16 => U16, u16::to_le;
     u32 => U32, u32::to_le;
     f32 => F32, |number: f32| f32::from_bits(number.to_bits().to_le());
     f64 => F64, |number: f64| f64::from_bits(number.to_bits().to_le());

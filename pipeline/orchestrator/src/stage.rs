@@ -126,6 +126,8 @@ pub enum Provider {
     Robot,
     /// The clip's file in the folder of `[latents]`, or for a rollout in that of `[rollouts]`.
     Latents,
+    /// The clip's folder in that of `[sidecars]`, or for a rollout in that of `[rollouts]`.
+    Sidecars,
     /// The clip's video or folder in the folder of `[rollouts]`.
     Rollout,
     /// The clip's folder in one of `[[predictions]]`.
@@ -459,6 +461,20 @@ stages! {
         asked: true,
         ..StageSpec::PLAIN
     };
+    /// The baseline Shape of Motion: an optimised field of every camera.
+    LiftSom = "lift-som": StageSpec {
+        inputs: &[
+            CLIP,
+            ROBOT,
+            // Their depth brings the depth of the sidecars to metres.
+            Input::of("references", Provider::Stage(StageId::References)),
+            Input::of("sidecars", Provider::Sidecars),
+        ],
+        figures: figures(1000.0, 6.0, 1200.0),
+        outputs: &[Output::new("lift-som", "field-som.r4c")],
+        asked: true,
+        ..StageSpec::PLAIN
+    };
     /// Stage 2: corrections of the field.
     Refine = "refine": StageSpec {
         inputs: &[
@@ -500,6 +516,7 @@ stages! {
             Input::of("refinement", Provider::Stage(StageId::Refine)),
             Input::of("fitted", Provider::Stage(StageId::Fit)),
             Input::of("polynomial", Provider::Stage(StageId::Lift4dgt)),
+            Input::of("motion_bases", Provider::Stage(StageId::LiftSom)),
             Input::of("predictions", Provider::Predictions),
             Input::of("lpips", Provider::Weights(WeightsRole::Lpips)),
         ],
@@ -508,19 +525,19 @@ stages! {
         outputs: &[
             Output {
                 method: "stage1",
-                skips: &["refinement", "fitted", "polynomial", "predictions"],
+                skips: &["refinement", "fitted", "polynomial", "motion_bases", "predictions"],
                 // The field after some updates is a row of the refined field alone.
                 unless: Some("update"),
                 ..Output::new("score-1", "scores-1.r4c")
             },
             Output {
                 method: "stage1+2",
-                skips: &["fitted", "polynomial", "predictions"],
+                skips: &["fitted", "polynomial", "motion_bases", "predictions"],
                 ..Output::new("score-2", "scores-2.r4c")
             },
             Output {
                 method: "fit",
-                skips: &["field", "refinement", "polynomial", "predictions"],
+                skips: &["field", "refinement", "polynomial", "motion_bases", "predictions"],
                 // The field after some updates is a row of the refined field alone.
                 unless: Some("update"),
                 with: Some(StageId::Fit),
@@ -535,14 +552,14 @@ stages! {
 pub static OUTSIDE: Outside = Outside {
     stage: StageId::Score,
     output: Output {
-        skips: &["field", "refinement", "fitted", "polynomial"],
+        skips: &["field", "refinement", "fitted", "polynomial", "motion_bases"],
         ..Output::new("score", "scores-1.r4c")
     },
     options: "prediction",
 };
 
 /// The baselines that run here.
-pub static BASELINES: [BaselineSpec; 2] = [
+pub static BASELINES: [BaselineSpec; 3] = [
     BaselineSpec {
         method: "movies",
         words: "MoVieS",
@@ -555,7 +572,7 @@ pub static BASELINES: [BaselineSpec; 2] = [
         weights: &[(WeightsRole::Lift, WeightsRole::Movies)],
         score: StageId::Score,
         output: Output {
-            skips: &["refinement", "fitted", "polynomial", "predictions"],
+            skips: &["refinement", "fitted", "polynomial", "motion_bases", "predictions"],
             ..Output::new("score", "scores-1.r4c")
         },
     },
@@ -570,7 +587,19 @@ pub static BASELINES: [BaselineSpec; 2] = [
         ],
         score: StageId::Score,
         output: Output {
-            skips: &["field", "refinement", "fitted", "predictions"],
+            skips: &["field", "refinement", "fitted", "motion_bases", "predictions"],
+            ..Output::new("score", "scores-1.r4c")
+        },
+    },
+    BaselineSpec {
+        method: "som",
+        words: "Shape of Motion",
+        lift: StageId::LiftSom,
+        fixed: &[],
+        weights: &[],
+        score: StageId::Score,
+        output: Output {
+            skips: &["field", "refinement", "fitted", "polynomial", "predictions"],
             ..Output::new("score", "scores-1.r4c")
         },
     },
@@ -694,9 +723,9 @@ mod tests {
 
     #[test]
     fn what_is_asked_for_brings_what_it_needs() {
-        use StageId::{Conditioning, Fit, Ingest, Lift, Lift4dgt, References, Refine, RobotMaps, Score};
+        use StageId::{Conditioning, Fit, Ingest, Lift, Lift4dgt, LiftSom, References, Refine, RobotMaps, Score};
         let unasked: Vec<StageId> = (StageId::ALL.iter().copied())
-            .filter(|&stage| ![References, Lift4dgt, Fit].contains(&stage))
+            .filter(|&stage| ![References, Lift4dgt, LiftSom, Fit].contains(&stage))
             .collect();
         assert_eq!(StageId::with_producers(&[]), unasked);
         assert_eq!(StageId::with_producers(&[References]), [Ingest, RobotMaps, References]);

@@ -18,10 +18,12 @@ pub(crate) fn signals(plan: &Plan, score: usize, sheet: &ScoreSheet, clip: &Clip
         .iter()
         .find(|info| [OUTSIDE, OUTSIDE_SCALED].contains(&&*info.configuration));
     let mut upstream = plan.upstream(score).map(|node| &plan.nodes[node]);
-    let lift = upstream.find(|node| [StageId::Lift, StageId::Lift4dgt].contains(&node.stage));
+    let lifts = [StageId::Lift, StageId::Lift4dgt, StageId::LiftSom];
+    let lift = upstream.find(|node| lifts.contains(&node.stage));
     let own = match (outside, lift) {
         (Some(info), _) => Own::outside((info.configuration == OUTSIDE_SCALED).then(|| scale_only(sheet, clip))),
         (None, Some(lift)) if lift.stage == StageId::Lift4dgt => Own::by_4dgt(&lift.params, clip),
+        (None, Some(lift)) if lift.stage == StageId::LiftSom => Own::by_som(clip, &scale_only(sheet, clip)),
         (None, Some(lift)) => Own::lifted(&lift.params, clip, &scale_only(sheet, clip)),
         (None, None) => Own::outside(None),
     };
@@ -111,6 +113,17 @@ impl Own {
             mesh: no(),
             stereo: no(),
             fitting: no(),
+        }
+    }
+
+    /// Shape of Motion is fitted to all images of each camera; the robot gives it masks, stereo one factor per camera.
+    fn by_som(clip: &Clip, scale_only: &str) -> Self {
+        Self {
+            visual: format!("{} / camera", clip.frame_count()),
+            states: "FK masks only".to_owned(),
+            mesh: "foreground mask".to_owned(),
+            stereo: scale_only.to_owned(),
+            fitting: "no".to_owned(),
         }
     }
 
@@ -211,6 +224,11 @@ mod tests {
         assert_eq!(analytic.states, "anchoring, FK, analytic FK motion");
         assert_eq!(Own::outside(Some(SCALE_ONLY.to_owned())).stereo, SCALE_ONLY);
         assert_eq!(Own::by_4dgt(&json!({}), &clip()).visual, "17 / camera");
+        let som = Own::by_som(&clip(), SCALE_ONLY);
+        assert_eq!(
+            (som.visual.as_str(), som.states.as_str(), som.mesh.as_str(), som.stereo.as_str()),
+            ("17 / camera", "FK masks only", "foreground mask", SCALE_ONLY)
+        );
         let few = Own::by_4dgt(&json!({"frames": "source"}), &clip());
         assert_eq!((few.visual.as_str(), few.stereo.as_str()), ("3 / camera", "no"));
     }

@@ -54,7 +54,7 @@ pub(crate) fn timing(
     let (mut refined, mut fitted) = (false, None);
     for upstream in plan.upstream(score) {
         match plan.nodes[upstream].stage {
-            StageId::Lift | StageId::Lift4dgt => timing.lift_s = without_loading(upstream),
+            StageId::Lift | StageId::Lift4dgt | StageId::LiftSom => timing.lift_s = without_loading(upstream),
             StageId::Fit => fitted = Some(without_loading(upstream)),
             StageId::Refine => {
                 refined = true;

@@ -11,6 +11,7 @@ use rogs_r4c::Record;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::{Field, WeightsInfo};
+use rogs_schemas::records::motion_bases::MotionBasisField;
 use rogs_schemas::records::polynomial::PolynomialField;
 use rogs_schemas::records::references::References;
 use rogs_schemas::records::refinement::Refinement;
@@ -102,6 +103,7 @@ impl Stage for Score {
             InputDescription::optional("refinement", Refinement::SCHEMA.name),
             InputDescription::optional("fitted", Field::SCHEMA.name),
             InputDescription::optional("polynomial", PolynomialField::SCHEMA.name),
+            InputDescription::optional("motion_bases", MotionBasisField::SCHEMA.name),
             InputDescription::optional("predictions", "folder"),
             InputDescription::optional("lpips", "file"),
         ]
@@ -138,6 +140,7 @@ impl Stage for Score {
         match self.params.prediction {
             Some(prediction) => self.run_outside(context, &clip, &robot, prediction),
             None if context.optional_input("polynomial").is_some() => self.run_polynomial(context, &clip, &robot),
+            None if context.optional_input("motion_bases").is_some() => self.run_motion_bases(context, &clip, &robot),
             None => self.run_own(context, &clip, &robot),
         }
     }
@@ -191,6 +194,23 @@ impl Score {
                 field.gaussians,
                 clip.fps,
             ))),
+        };
+        self.score(context, &scene, sheet)
+    }
+
+    /// Scores the field that Shape of Motion made here.
+    fn run_motion_bases(&self, context: &mut Context<'_>, clip: &Clip, robot: &RobotMaps) -> StageResult<()> {
+        let field: MotionBasisField = context.timed("read_field", |context| context.read("motion_bases"))?;
+        if field.clip_id != clip.clip_id {
+            let message = format!("the field is of clip `{}`, not of `{}`", field.clip_id, clip.clip_id);
+            return Err(StageError::bad_input(message));
+        }
+        let sheet = self.empty_sheet(clip, "som", vec![field.weights.clone()]);
+        let field = OutsideField::motion_bases(field, clip.fps).map_err(outside_error)?;
+        let scene = Scene {
+            clip,
+            robot,
+            predictions: Predictions::Field(FieldSource::Outside(field)),
         };
         self.score(context, &scene, sheet)
     }

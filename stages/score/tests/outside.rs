@@ -5,8 +5,9 @@ use rogs_field::polynomial;
 use rogs_geometry::{Base, Camera, Pose, Similarity};
 use rogs_needs::{needs, shared};
 use rogs_schemas::RigidPose;
+use rogs_schemas::records::motion_bases::BasisGaussians;
 use rogs_schemas::records::polynomial::Polynomials;
-use rogs_score::outside::{MotionBasisField, MotionBasisParts, OutsideError, merge, stereo_scale};
+use rogs_score::outside::{BasisField, OutsideError, merge, stereo_scale};
 use rogs_splat::{Colour, Gaussians};
 use safetensors::SafeTensors;
 
@@ -54,7 +55,7 @@ fn shape_of_motion_moves_its_gaussians_as_published() {
         values.extend(f32s(&file, &format!("state.bg.params.{part}")));
         values
     };
-    let field = MotionBasisField::new(MotionBasisParts {
+    let field = BasisField::new(BasisGaussians {
         bases: 4,
         frames: 7,
         rotations: f32s(&file, "state.motion_bases.params.rots"),
@@ -87,10 +88,10 @@ fn shape_of_motion_moves_its_gaussians_as_published() {
     assert!(mean_error < 2e-6 && quat_error < 2e-6 && rest < 1e-6);
     assert_eq!(field.at(7).unwrap_err(), OutsideError::NoFrame { frame: 7, frames: 7 });
     assert!(
-        MotionBasisField::new(MotionBasisParts {
+        BasisField::new(BasisGaussians {
             bases: 4,
             frames: 7,
-            ..MotionBasisParts::default()
+            ..BasisGaussians::default()
         })
         .is_err()
     );

@@ -37,6 +37,7 @@ mod render;
 mod robot;
 mod rollout;
 mod scene;
+mod sidecars;
 mod tracks;
 mod write;
 
@@ -62,6 +63,7 @@ pub use robot::{
 };
 pub use rollout::{Distortions, write_rollout};
 pub use scene::{FIRST_OBJECT_ID, FIRST_SCENERY_ID};
+pub use sidecars::{EstimatorErrors, write_sidecars};
 pub use tracks::EpisodeTracks;
 pub use write::{
     DATASET_FILE, DatasetSummary, EPISODES_FOLDER, ROBOT_FOLDER, write_dataset, write_dataset_with, write_episode,

@@ -49,6 +49,9 @@ pub struct Manifest {
     /// Network weights. Without this table the built-in networks run.
     #[serde(default)]
     pub weights: Weights,
+    /// What others estimated from the clips' images, for the baseline Shape of Motion.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sidecars: Option<Sidecars>,
     /// Latents of a video tokenizer, for runs and variants whose `lift` has `tokens = "latents"`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub latents: Option<Latents>,
@@ -309,6 +312,15 @@ pub struct Latents {
     pub root: PathBuf,
 }
 
+/// Depth and tracks that others estimated from the clips' images, one folder a clip. `docs/sidecars.md` says what lies in it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Sidecars {
+    /// The folder that holds a folder for every clip, named by the clip's id. A clip without one fails where sidecars are asked
+    /// for; everything else is made.
+    pub root: PathBuf,
+}
+
 /// Rollouts of a world model, one video or folder a clip. `docs/rollouts.md` says what may lie in it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
@@ -340,6 +352,9 @@ pub struct Rollouts {
     /// The folder that holds `CLIP.safetensors` with the latents of every rollout, where `lift` has `tokens = "latents"`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub latents: Option<PathBuf>,
+    /// The folder that holds a folder for every clip with what was estimated from its rollout, for the baseline Shape of Motion.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sidecars: Option<PathBuf>,
 }
 
 /// What a variant does differently. Parameters are laid over those of the run, name by name.
@@ -407,12 +422,13 @@ pub struct Prediction {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Baseline {
-    /// Which: `movies` or `4dgt`.
+    /// Which: `movies`, `4dgt` or `som`.
     pub method: String,
     /// Name of its rows in the tables (`[A-Za-z0-9._+-]{1,128}`, `+` stands for `/`). Default: the method.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Parameters of the stage that makes its field: of `lift` for MoVieS, of `lift-4dgt` for 4DGT.
+    /// Parameters of the stage that makes its field: of `lift` for MoVieS, of `lift-4dgt` for 4DGT, of `lift-som` for Shape of
+    /// Motion.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub lift: Params,
     /// Parameters of `score`.
@@ -553,8 +569,8 @@ macro_rules! stage_tables {
                     StageId::Agreement => &self.agreement,
                     StageId::References => self.references.as_ref().unwrap_or(&NO_PARAMS),
                     StageId::Lift => &self.lift,
-                    // Its parameters are those of a baseline.
-                    StageId::Lift4dgt => &NO_PARAMS,
+                    // Their parameters are those of a baseline.
+                    StageId::Lift4dgt | StageId::LiftSom => &NO_PARAMS,
                     StageId::Refine => &self.refine,
                     StageId::Fit => self.fit.as_ref().unwrap_or(&NO_PARAMS),
                     StageId::Score => &self.score,

@@ -94,9 +94,11 @@ impl Manifest {
             .iter_mut()
             .for_each(|prediction| fix(&mut prediction.root));
         self.latents.iter_mut().for_each(|latents| fix(&mut latents.root));
+        self.sidecars.iter_mut().for_each(|sidecars| fix(&mut sidecars.root));
         if let Some(rollouts) = &mut self.rollouts {
             fix(&mut rollouts.root);
             fix_some(&mut rollouts.latents);
+            fix_some(&mut rollouts.sidecars);
         }
         let weights =
             std::iter::once(&mut self.weights).chain(self.variants.iter_mut().map(|variant| &mut variant.weights));

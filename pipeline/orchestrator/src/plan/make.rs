@@ -29,6 +29,8 @@ pub fn make_plan(manifest: &Manifest, text: &Text, programs: &StagePrograms, sou
     };
     let rollouts = manifest.rollouts.as_ref().filter(|_| reads(InputSource::Rollout));
     let rollout_latents = rollouts.filter(|_| reads(InputSource::RolloutLatents));
+    let sidecars = manifest.sidecars.as_ref().filter(|_| reads(InputSource::Sidecars));
+    let rollout_sidecars = rollouts.filter(|_| reads(InputSource::RolloutSidecars));
     let settings: Vec<&str> = manifest.settings().iter().map(|setting| setting.name()).collect();
     let mut plan = Plan {
         format: PLAN_FORMAT.to_owned(),
@@ -45,6 +47,8 @@ pub fn make_plan(manifest: &Manifest, text: &Text, programs: &StagePrograms, sou
         calibrations: Vec::new(),
         predictions: manifest.predictions.iter().map(|own| own.root.clone()).collect(),
         latents: latents.map(|latents| latents.root.clone()),
+        sidecars: sidecars.map(|sidecars| sidecars.root.clone()),
+        rollout_sidecars: rollout_sidecars.and_then(|rollouts| rollouts.sidecars.clone()),
         rollouts: rollouts.map(|rollouts| rollouts.root.clone()),
         rollout_latents: rollout_latents.and_then(|rollouts| rollouts.latents.clone()),
         clips: Vec::new(),

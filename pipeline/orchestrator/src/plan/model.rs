@@ -44,6 +44,12 @@ pub struct Plan {
     /// Folder with the latents of the clips.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub latents: Option<PathBuf>,
+    /// Folder with the sidecars of the clips.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sidecars: Option<PathBuf>,
+    /// Folder with the sidecars of the rollouts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rollout_sidecars: Option<PathBuf>,
     /// Folder with the rollouts of the clips.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rollouts: Option<PathBuf>,
@@ -113,6 +119,10 @@ pub enum InputSource {
     Prediction(u32),
     /// The clip's file in [`Plan::latents`], where it has one.
     Latents,
+    /// The clip's folder in [`Plan::sidecars`], where it has one.
+    Sidecars,
+    /// The clip's folder in [`Plan::rollout_sidecars`], where it has one.
+    RolloutSidecars,
     /// The clip's video or folder in [`Plan::rollouts`], where it has one.
     Rollout,
     /// The clip's file in [`Plan::rollout_latents`], where it has one.
@@ -160,6 +170,12 @@ pub struct PlannedClip {
     /// Content of the clip's file in [`Plan::latents`], where it has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub latents: Option<ContentHash>,
+    /// Content of the clip's folder in [`Plan::sidecars`], where it has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sidecars: Option<ContentHash>,
+    /// Content of the clip's folder in [`Plan::rollout_sidecars`], where it has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rollout_sidecars: Option<ContentHash>,
     /// The clip's video or folder in [`Plan::rollouts`], where it has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rollout: Option<RolloutFile>,

@@ -574,6 +574,7 @@ impl<'a> Builder<'a> {
                 Some(self.source(role, urdf, At::key("robot").then("urdf"))?)
             }
             Some(Provider::Latents) => self.latents(chain.setting)?,
+            Some(Provider::Sidecars) => Some(self.sidecars(stage, chain)?),
             Some(Provider::Rollout) => self.rollouts()?,
             Some(Provider::Predictions) => match chain.column {
                 Column::Outside(index, _) => Some(InputSource::Prediction(index as u32)),
@@ -668,6 +669,33 @@ impl<'a> Builder<'a> {
             return Err(error.with_hint("it holds CLIP.safetensors for every clip, named by the clip's id"));
         }
         Ok(Some(from))
+    }
+
+    /// The clips' sidecars: of the recordings, or of the rollouts.
+    fn sidecars(&self, stage: StageId, chain: Chain<'_>) -> Result<InputSource> {
+        let rollouts = self.manifest.rollouts.as_ref();
+        let (from, root, at, key) = match chain.setting {
+            Setting::Recorded => {
+                let root = self.manifest.sidecars.as_ref().map(|sidecars| &sidecars.root);
+                let at = At::key("sidecars").then("root");
+                (InputSource::Sidecars, root, at, "[sidecars] with root = \"FOLDER\"")
+            }
+            Setting::Rollout => {
+                let root = rollouts.and_then(|rollouts| rollouts.sidecars.as_ref());
+                let at = At::key("rollouts").then("sidecars");
+                (InputSource::RolloutSidecars, root, at, "sidecars = \"FOLDER\" under [rollouts]")
+            }
+        };
+        let Some(root) = root else {
+            let message = format!("`{stage}` needs depth and tracks of every clip, and the manifest names no folder of them");
+            let hint = format!("name it: {key} (docs/sidecars.md)");
+            return Err(self.text.error(chain.at(stage), message).with_hint(hint));
+        };
+        if !root.is_dir() {
+            let error = self.text.error(at, format!("`{}` is not a folder", shown(root)));
+            return Err(error.with_hint("it holds a folder for every clip, named by the clip's id (docs/sidecars.md)"));
+        }
+        Ok(from)
     }
 
     /// The clips' rollouts, where the manifest names a folder of them.

@@ -69,6 +69,14 @@ impl Plan {
                 let root = self.rollout_latents.as_ref().filter(|_| clip.rollout_latents.is_some());
                 root.map(|root| latents_file(root, &clip.id))
             }
+            InputSource::Sidecars => {
+                let root = self.sidecars.as_ref().filter(|_| clip.sidecars.is_some());
+                root.map(|root| root.join(&clip.id))
+            }
+            InputSource::RolloutSidecars => {
+                let root = self.rollout_sidecars.as_ref().filter(|_| clip.rollout_sidecars.is_some());
+                root.map(|root| root.join(&clip.id))
+            }
             InputSource::Node(node) => Some(self.run.join(self.output(WorkUnit { node: *node, ..unit }, keys))),
             InputSource::Source(source) => Some(source.path.clone()),
         };
@@ -133,6 +141,8 @@ impl KeyMaker<'_> {
                 InputSource::Latents => source.latents.map(|content| content.to_string()),
                 InputSource::Rollout => source.rollout.as_ref().map(|rollout| rollout.content.to_string()),
                 InputSource::RolloutLatents => source.rollout_latents.map(|content| content.to_string()),
+                InputSource::Sidecars => source.sidecars.map(|content| content.to_string()),
+                InputSource::RolloutSidecars => source.rollout_sidecars.map(|content| content.to_string()),
                 // Nodes are ordered, so the upstream key is there already.
                 InputSource::Node(node) => Some(keys[*node].key.to_string()),
                 InputSource::Source(source) => Some(source.content.to_string()),

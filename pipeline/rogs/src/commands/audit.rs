@@ -108,11 +108,11 @@ fn make_manifest(args: &Args, episodes: &Path, names: &mut Vec<String>) -> anyho
     manifest.run.stages = vec![StageId::Agreement];
     manifest.run.agreement = None;
     manifest.weights = Weights::default();
-    manifest.latents = None;
+    (manifest.latents, manifest.sidecars) = (None, None);
     if let Some(rollouts) = &mut manifest.rollouts {
-        rollouts.latents = None;
+        (rollouts.latents, rollouts.sidecars) = (None, None);
     }
-    (manifest.variants, manifest.predictions) = (Vec::new(), Vec::new());
+    (manifest.variants, manifest.predictions, manifest.baselines) = (Vec::new(), Vec::new(), Vec::new());
     (manifest.lift, manifest.refine, manifest.score) = (Params::new(), Params::new(), Params::new());
     manifest.references = None;
     let text = toml::to_string(&manifest).context("writing the manifest of the audit")?;

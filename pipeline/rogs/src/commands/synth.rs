@@ -7,8 +7,8 @@ use anyhow::Context as _;
 use rogs_orchestrator::quote::shell_word;
 use rogs_schemas::records::robot::RobotSpec;
 use rogs_synth::{
-    DatasetSummary, Distortions, EPISODES_FOLDER, ROBOT_FOLDER, ROBOT_SPEC_FILE, ROBOT_URDF_FILE, Resolution,
-    SynthConfig, generate_episode, write_dataset_with, write_pointworld, write_rollout,
+    DatasetSummary, Distortions, EPISODES_FOLDER, EstimatorErrors, ROBOT_FOLDER, ROBOT_SPEC_FILE, ROBOT_URDF_FILE,
+    Resolution, SynthConfig, generate_episode, write_dataset_with, write_pointworld, write_rollout, write_sidecars,
 };
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -47,11 +47,28 @@ pub(crate) struct Args {
     #[arg(long)]
     pointworld: bool,
     #[command(flatten)]
+    sidecars: SidecarArgs,
+    #[command(flatten)]
     rollouts: RolloutArgs,
     /// Print one JSON value.
     #[arg(long)]
     json: bool,
 }
+
+/// Depth and tracks for the baseline Shape of Motion.
+#[derive(Debug, Clone, Copy, Default, clap::Args)]
+struct SidecarArgs {
+    /// Also write what depth estimators and a tracker might have said of the episodes, which the manifest names
+    /// (docs/sidecars.md): exact.
+    #[arg(long)]
+    sidecars: bool,
+    /// As wrong as such estimators are.
+    #[arg(long, requires = "sidecars")]
+    sidecar_noise: bool,
+}
+
+/// Folder of the sidecars in a dataset.
+const SIDECARS_FOLDER: &str = "sidecars";
 
 /// Distortions of procedural rollouts.
 #[derive(Debug, Clone, Copy, Default, clap::Args)]
@@ -73,8 +90,8 @@ struct RolloutArgs {
 
 /// Folder of the rollouts in a dataset.
 const ROLLOUTS_FOLDER: &str = "rollouts";
-/// Frames of a rollout: those of a clip.
-const ROLLOUT_FRAMES: usize = 17;
+/// Frames of a clip, and so of its rollout and its sidecars.
+const CLIP_FRAMES: usize = 17;
 
 /// `WIDTHxHEIGHT` as `[height, width]`.
 fn parse_size(text: &str) -> Result<[u32; 2], String> {
@@ -108,6 +125,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
             write_pointworld(&args.out.join(POINTWORLD_FOLDER), &generate_episode(&config, seed)?)?;
         }
     }
+    if args.sidecars.sidecars {
+        make_sidecars(args, &config, &manifest)?;
+    }
     if args.rollouts.rollouts {
         make_rollouts(args, &config, &manifest)?;
     }
@@ -128,6 +148,27 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// Writes the sidecars of every episode and names their folder in the manifest. Those that are there are kept.
+fn make_sidecars(args: &Args, config: &SynthConfig, manifest: &Path) -> anyhow::Result<()> {
+    let errors = match args.sidecars.sidecar_noise {
+        true => EstimatorErrors::REAL,
+        false => EstimatorErrors::NONE,
+    };
+    let root = args.out.join(SIDECARS_FOLDER);
+    for seed in (args.seed..).take(args.episodes as usize) {
+        let episode = generate_episode(config, seed)?;
+        let place = root.join(episode.id());
+        write_sidecars(&place, &episode, config.anchor() as usize, CLIP_FRAMES, &errors)?;
+        output::note(&format!("sidecars {}", place.display()));
+    }
+    let text = rogs_files::read_to_string(manifest).with_context(|| format!("reading `{}`", manifest.display()))?;
+    if !text.contains("\n[sidecars]") {
+        let text = format!("{text}\n[sidecars]\nroot = \"{SIDECARS_FOLDER}\"\n");
+        rogs_files::write_bytes(manifest, text.as_bytes())?;
+    }
+    Ok(())
+}
+
 /// Writes a rollout of every episode and names their folder in the manifest. Those that are there are kept.
 fn make_rollouts(args: &Args, config: &SynthConfig, manifest: &Path) -> anyhow::Result<()> {
     let RolloutArgs { blur, drift, lag, .. } = args.rollouts;
@@ -140,7 +181,7 @@ fn make_rollouts(args: &Args, config: &SynthConfig, manifest: &Path) -> anyhow::
     for seed in (args.seed..).take(args.episodes as usize) {
         let episode = generate_episode(config, seed)?;
         let place = root.join(episode.id());
-        write_rollout(&place, &episode, config.anchor() as usize, ROLLOUT_FRAMES, &distortions)?;
+        write_rollout(&place, &episode, config.anchor() as usize, CLIP_FRAMES, &distortions)?;
         output::note(&format!("rollout {}", place.display()));
     }
     let text = rogs_files::read_to_string(manifest).with_context(|| format!("reading `{}`", manifest.display()))?;

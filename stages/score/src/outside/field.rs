@@ -12,12 +12,13 @@ use rogs_arrays::ArrayFile;
 use rogs_field::ply::read_ply_file;
 use rogs_field::polynomial;
 use rogs_geometry::{Base, Camera, Frame, Pose, Similarity};
+use rogs_schemas::records::motion_bases::MotionBasisField;
 use rogs_schemas::records::polynomial::Polynomials;
 use rogs_schemas::{CameraIndex, FrameIndex, WrittenPose};
 use rogs_splat::Gaussians;
 use serde::{Deserialize, Serialize};
 
-use crate::outside::{MotionBasisField, MotionBasisParts, OutsideError, SampledField, merge, read_polynomials};
+use crate::outside::{BasisField, OutsideError, SampledField, merge, read_basis_gaussians, read_polynomials};
 
 /// The frame that the fields of a method are given in. An array `base_from_field` (4x4) in a file goes before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
@@ -44,7 +45,7 @@ enum Content {
     Ply(BTreeMap<FrameIndex, PathBuf>),
     Sampled(SampledField),
     Polynomial(Polynomials),
-    MotionBasis(MotionBasisField),
+    MotionBasis(BasisField),
 }
 
 /// The field of one camera, or of all.
@@ -117,6 +118,23 @@ impl OutsideField {
             base_from_field: Pose::IDENTITY.into(),
         };
         Self { parts: vec![part], fps }
+    }
+
+    /// The fields of the cameras that Shape of Motion made in this pipeline: base frame, metres.
+    ///
+    /// # Errors
+    /// When the arrays of a camera contradict each other.
+    pub fn motion_bases(field: MotionBasisField, fps: f64) -> Result<Self, OutsideError> {
+        let part = |(camera, gaussians)| {
+            Ok(Part {
+                folder: PathBuf::new(),
+                content: Content::MotionBasis(BasisField::new(gaussians).map_err(OutsideError::Contradiction)?),
+                camera: Some(camera),
+                base_from_field: Pose::IDENTITY.into(),
+            })
+        };
+        let parts = field.cameras.into_iter().map(part).collect::<Result<_, OutsideError>>()?;
+        Ok(Self { parts, fps })
     }
 
     /// The source camera of every part; `None` for a field of all cameras.
@@ -251,14 +269,13 @@ fn content(folder: &Path) -> Result<Option<Found>, OutsideError> {
         return Ok((!frames.is_empty()).then_some((Content::Ply(frames), None)));
     };
     let file = ArrayFile::open(&path)?;
-    let named = |error: OutsideError| match error {
-        error @ OutsideError::File { .. } => error,
-        other => OutsideError::file(&path, other.to_string()),
-    };
     let content = match path.file_stem().and_then(|stem| stem.to_str()) {
         Some("gaussians") => Content::Sampled(SampledField::read(&file)?),
         Some("4dgt") => Content::Polynomial(read_polynomials(&file)?),
-        _ => Content::MotionBasis(MotionBasisField::new(MotionBasisParts::read(&file)?).map_err(named)?),
+        _ => {
+            let field = BasisField::new(read_basis_gaussians(&file)?);
+            Content::MotionBasis(field.map_err(|what| OutsideError::file(&path, what))?)
+        }
     };
     Ok(Some((content, own_pose(&file)?)))
 }

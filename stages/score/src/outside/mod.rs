@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 pub use field::{FieldFrame, OutsideField};
 pub use images::{CameraImages, ImagePredictions};
 pub use merge::{merge, stereo_scale};
-pub use motion_basis::{MotionBasisField, MotionBasisParts};
+pub use motion_basis::{BasisField, read_basis_gaussians};
 pub use polynomial::read_polynomials;
 use rogs_schemas::FrameIndex;
 pub use sampled::SampledField;
@@ -25,16 +25,9 @@ pub use sampled::SampledField;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum OutsideError {
-    /// An array has the wrong length.
-    #[error("`{array}` has {found} values, expected {expected}")]
-    Length {
-        /// Name of the array.
-        array: &'static str,
-        /// Its length.
-        found: usize,
-        /// The length that the others imply.
-        expected: usize,
-    },
+    /// Arrays that contradict each other.
+    #[error("{0}")]
+    Contradiction(String),
     /// A frame that the field does not have.
     #[error("the field has {frames} frames, frame {frame} was asked for")]
     NoFrame {
@@ -76,14 +69,5 @@ impl OutsideError {
             path: path.to_owned(),
             what: what.into(),
         }
-    }
-}
-
-/// Fails unless an array has the expected length.
-fn expect(array: &'static str, found: usize, expected: usize) -> Result<(), OutsideError> {
-    if found == expected {
-        Ok(())
-    } else {
-        Err(OutsideError::Length { array, found, expected })
     }
 }
