@@ -12,6 +12,9 @@ mod observed;
 mod params;
 mod scene;
 pub mod sidecars;
+#[cfg(test)]
+#[path = "../tests/support/mod.rs"]
+mod support;
 mod tracks_alone;
 mod training;
 

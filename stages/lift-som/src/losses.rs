@@ -480,3 +480,79 @@ impl Rigid {
         self.rotation.transpose() * DVec3::new(gradient[0].into(), gradient[1].into(), gradient[2].into())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::initial;
+    use crate::params::LiftSomParams;
+    use crate::sidecars;
+    use crate::support;
+    use crate::tracks_alone::{self, Targets};
+
+    fn observed(params: &LiftSomParams) -> Observed {
+        let (clip, robot) = support::clip();
+        let folder = tempfile::tempdir().unwrap();
+        support::sidecars(folder.path());
+        let size = [support::HEIGHT, support::WIDTH];
+        let own = sidecars::read(folder.path(), "clip", "ext1", support::FRAMES, size).unwrap();
+        Observed::new(&clip, &robot, rogs_schemas::CameraIndex(0), own, params).unwrap()
+    }
+
+    /// Compares the gradient along its own direction, array by array, with central differences of the value.
+    fn check(scene: &Scene, steps: [f32; 13], tolerance: f64, value: impl Fn(&Scene) -> (f64, Scene)) {
+        let (_, gradient) = value(scene);
+        for (index, step) in steps.into_iter().enumerate().filter(|(_, step)| *step > 0.0) {
+            let own = gradient.arrays()[index];
+            let length = own.iter().map(|g| f64::from(*g) * f64::from(*g)).sum::<f64>().sqrt();
+            assert!(length > 0.0, "array {index} has no gradient");
+            let at = |sign: f32| {
+                let mut moved = scene.clone();
+                for (to, from) in moved.arrays_mut()[index].iter_mut().zip(own) {
+                    *to += sign * step * from / length as f32;
+                }
+                value(&moved).0
+            };
+            let found = (at(1.0) - at(-1.0)) / (2.0 * f64::from(step));
+            println!("array {index}: {found:.5}, the gradient says {length:.5}");
+            assert!((found - length).abs() < tolerance * length, "array {index}: {found} {length}");
+        }
+    }
+
+    #[test]
+    fn gradients_are_those_of_central_differences() {
+        let params = LiftSomParams {
+            erode_px: 1,
+            dilate_px: 2,
+            smallest_cluster: 10,
+            clusters: 2,
+            ..LiftSomParams::default()
+        };
+        let observed = observed(&params);
+        let (mut scene, followed) = initial::scene(&observed, &params, 0).unwrap();
+        // Something to be wrong about: the exact start has errors of zero, where an absolute value has no gradient.
+        for (array, size) in [(0, 0.02), (6, 0.02), (11, 0.03), (12, 0.02)] {
+            for (k, value) in scene.arrays_mut()[array].iter_mut().enumerate() {
+                *value += size * libm::sinf(1.7 * k as f32);
+            }
+        }
+        let targets = Targets::new(&followed, &observed);
+        let mut steps = [0.0; 13];
+        [steps[0], steps[5], steps[11], steps[12]] = [1e-3; 4];
+        check(&scene, steps, 0.05, |scene| tracks_alone::loss(scene, &targets, 0.05).unwrap());
+        let batch = [
+            Sample {
+                frame: 0,
+                targets: vec![1, 3, 4, 5],
+            },
+            Sample {
+                frame: 3,
+                targets: vec![0, 2, 3, 5],
+            },
+        ];
+        check(&scene, [3e-3; 13], 0.1, |scene| {
+            let said = loss(&observed, scene, &batch).unwrap();
+            (said.value, said.gradient)
+        });
+    }
+}
