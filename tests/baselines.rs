@@ -99,8 +99,8 @@ fn a_baseline_runs_with_its_own_weights_or_not_at_all() {
     );
     let only = |text: &str| manifest.replace(BASELINES, text);
     plan(
-        &only("\n[[baselines]]\nmethod = \"som\"\n"),
-        &["unknown baseline `som`", "movies, 4dgt"],
+        &only("\n[[baselines]]\nmethod = \"nerf\"\n"),
+        &["unknown baseline `nerf`", "movies, 4dgt, som"],
     );
     plan(
         &only("\n[[baselines]]\nmethod = \"movies\"\nlift = { anchoring = true }\n"),
@@ -114,4 +114,57 @@ fn a_baseline_runs_with_its_own_weights_or_not_at_all() {
         &only("\n[[baselines]]\nmethod = \"movies\"\nlift = { frames = \"all\" }\n"),
         &["unknown parameter `frames`"],
     );
+}
+
+/// Few updates of small clusters, for images of 56x42.
+const SOM: &str = r#"
+[sidecars]
+root = "data/sidecars"
+
+[[baselines]]
+method = "som"
+lift = { erode_px = 1, dilate_px = 2, smallest_cluster = 3, clusters = 3, track_updates = 5, epochs = 2 }
+"#;
+
+#[test]
+fn shape_of_motion_needs_sidecars_and_what_fails_is_counted() {
+    let workspace = Workspace::small(2);
+    let synth = ["synth", "--out", "data", "--episodes", "2", "--seed", "11", "--frames", "17", "--size", "56x42"];
+    let output = workspace.rogs(&[&synth[..], &["--sidecars", "--sidecar-noise"]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    workspace.manifest("plain.toml", "run");
+    let plain = std::fs::read_to_string(workspace.path("plain.toml")).unwrap();
+    // The manifest that synth wrote names the folder as it lies beside it.
+    let plain = plain.replace("\n[sidecars]\nroot = \"sidecars\"\n", "");
+    assert!(!plain.contains("[sidecars]"), "{plain}");
+    let without = SOM.replace("[sidecars]\nroot = \"data/sidecars\"\n", "");
+    workspace.write("som.toml", &(plain.clone() + &without));
+    let refused = workspace.rogs(&["plan", "som.toml"]);
+    let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert_eq!(refused.status.code(), Some(2), "{message}");
+    assert!(message.contains("names no folder of them") && message.contains("[sidecars]"), "{message}");
+    // One of the two clips has none: it fails by name, the other has scores, and the row says so.
+    let mut clips: Vec<_> = (std::fs::read_dir(workspace.path("data/sidecars")).unwrap())
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    clips.sort();
+    let away = workspace.path("data/away");
+    std::fs::rename(workspace.path("data/sidecars").join(&clips[1]), &away).unwrap();
+    workspace.write("som.toml", &(plain + SOM));
+    let (code, made) = workspace.rogs_json(&["run", "som.toml", "--no-report", "--json"]);
+    assert_eq!(code, Some(3), "{made:#}");
+    let failure = made["failures"].to_string();
+    let expected = format!("there are no sidecars of clip `{}`", clips[1]);
+    assert!(failure.contains(&expected), "{failure}");
+    let (_, main) = workspace.rogs_json(&["table", "run", "--table", "main", "--json"]);
+    assert_eq!(row(&main, "som")["clips"], 1, "{main:#}");
+    assert_eq!(row(&main, "stage1")["clips"], 2, "{main:#}");
+    assert!(notes(&main).contains("som"), "{main:#}");
+    // Once they are there, that clip alone is made.
+    std::fs::rename(away, workspace.path("data/sidecars").join(&clips[1])).unwrap();
+    let (code, made) = workspace.rogs_json(&["run", "som.toml", "--no-report", "--json"]);
+    assert_eq!((code, &made["units"]["made"]), (Some(0), &Value::from(2)), "{made:#}");
+    let (_, inputs) = workspace.rogs_json(&["table", "run", "--table", "inputs", "--json"]);
+    let text = row(&inputs, "som")["cells"].to_string();
+    assert!(text.contains("FK masks only"), "{text}");
 }
