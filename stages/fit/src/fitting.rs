@@ -6,7 +6,8 @@ use rogs_optimise::losses::image::photometric;
 use rogs_optimise::losses::robust::disparity_l1;
 use rogs_random::Pcg64;
 use rogs_schemas::records::clip::Clip;
-use rogs_schemas::records::field::Field;
+use rogs_schemas::records::field::{Field, NamedArray};
+use rogs_schemas::records::progress::Progress as Kept;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::units::{UNITS_PER_METRE, m_from_iu};
@@ -26,6 +27,18 @@ const DEPTH_KEPT: f64 = 0.98;
 const BESIDE: u64 = 1 << 19;
 /// Groups of parameters.
 const GROUPS: usize = 7;
+/// Their names, in the order of [`Parameters`].
+const NAMES: [&str; GROUPS] = [
+    "position_m",
+    "scale",
+    "rotation",
+    "opacity",
+    "colour",
+    "mixture",
+    "motion",
+];
+/// Updates after which the progress is kept.
+const KEEP_EVERY: u32 = 25;
 
 /// The records of one clip.
 #[derive(Clone, Copy)]
@@ -41,14 +54,14 @@ pub struct ClipInputs<'a> {
 }
 
 /// How far a fit has come: all that the next update depends on.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Progress {
+#[derive(Debug, Clone)]
+struct Progress {
     /// Updates done.
-    pub updates: u32,
+    updates: u32,
     /// The parameters.
-    pub parameters: Parameters,
+    parameters: Parameters,
     /// Moments of each group, in the order of [`Parameters`].
-    pub moments: [Adam; GROUPS],
+    moments: [Adam; GROUPS],
 }
 
 /// A fit of one clip.
@@ -93,29 +106,55 @@ impl<'a> Fitting<'a> {
         })
     }
 
-    /// How far it has come.
-    #[must_use]
-    pub fn progress(&self) -> &Progress {
-        &self.progress
+    /// Goes on from what another fit of the same records kept; the result is that of one that was never interrupted. False,
+    /// and nothing happens, where it belongs to another number of Gaussians, rigid motions or source times.
+    pub fn resume(&mut self, kept: &Kept) -> bool {
+        let progress = self.restored(kept);
+        let fits = progress.is_some();
+        if let Some(progress) = progress {
+            self.progress = progress;
+        }
+        fits
     }
 
-    /// Goes on from where another fit of the same records had come; the result is that of one that was never interrupted.
-    ///
-    /// # Errors
-    /// When it belongs to another number of Gaussians, rigid motions or source times.
-    pub fn resume(&mut self, progress: Progress) -> StageResult<()> {
-        let lengths = |progress: &Progress| groups(&progress.parameters).map(<[f32]>::len);
-        let moments = |progress: &Progress| {
-            progress
-                .moments
-                .each_ref()
-                .map(|adam| [adam.first.len(), adam.second.len()])
+    /// The progress as a record, to go on from in another process.
+    #[must_use]
+    pub fn kept(&self) -> Kept {
+        let mut kept = Kept {
+            clip_id: self.inputs.clip.clip_id.clone(),
+            counters: vec![("updates".to_owned(), u64::from(self.progress.updates))],
+            arrays: Vec::new(),
+            notes: Vec::new(),
         };
-        if lengths(&progress) != lengths(&self.progress) || moments(&progress) != moments(&self.progress) {
-            return Err(StageError::bad_input("the fit to go on from is one of other records"));
+        let groups = groups(&self.progress.parameters);
+        for ((name, values), moments) in NAMES.iter().zip(groups).zip(&self.progress.moments) {
+            for (part, data) in [("", values), (".first", &moments.first), (".second", &moments.second)] {
+                kept.arrays.push(NamedArray {
+                    name: format!("{name}{part}"),
+                    shape: vec![data.len() as u32],
+                    data: data.to_vec(),
+                });
+            }
         }
-        self.progress = progress;
-        Ok(())
+        kept
+    }
+
+    /// The progress that [`kept`](Self::kept) put into a record; `None` where it is one of other records.
+    fn restored(&self, kept: &Kept) -> Option<Progress> {
+        let mut progress = self.progress.clone();
+        progress.updates = u32::try_from(kept.counter("updates")?).ok()?;
+        let groups = groups_mut(&mut progress.parameters);
+        for ((name, values), moments) in NAMES.iter().zip(groups).zip(&mut progress.moments) {
+            moments.updates = progress.updates;
+            for (part, to) in [("", values), (".first", &mut moments.first), (".second", &mut moments.second)] {
+                let from = kept.array(&format!("{name}{part}"))?;
+                if from.len() != to.len() {
+                    return None;
+                }
+                to.copy_from_slice(from);
+            }
+        }
+        Some(progress)
     }
 
     /// One update, on all source cameras of one source time; gives the loss before it.
@@ -266,13 +305,22 @@ fn uncovered(render: &Render, weight: f64) -> Term {
     }
 }
 
-/// Fits a field to its source images.
+/// Fits a field to its source images. `kept` is what a fit of the same job kept before it was killed; the field is that of one
+/// that was never interrupted.
 ///
 /// # Errors
 /// When the records do not belong together, or a source view has no image.
-pub fn fit(inputs: ClipInputs<'_>, params: &FitParams, observer: &mut dyn Observer) -> StageResult<Field> {
+pub fn fit(
+    inputs: ClipInputs<'_>,
+    params: &FitParams,
+    kept: Option<&Kept>,
+    observer: &mut dyn Observer,
+) -> StageResult<Field> {
     observer.progress(0.0, "sort the Gaussians");
     let mut fitting = Fitting::new(inputs, params)?;
+    if let Some(kept) = kept {
+        fitting.resume(kept);
+    }
     while fitting.progress.updates < params.updates {
         let loss = fitting.update()?;
         let done = fitting.progress.updates;
@@ -281,6 +329,9 @@ pub fn fit(inputs: ClipInputs<'_>, params: &FitParams, observer: &mut dyn Observ
             0.98 * fraction,
             &format!("update {done} of {}, loss {loss:.4}", params.updates),
         );
+        if done.is_multiple_of(KEEP_EVERY) && done < params.updates {
+            observer.keep(&fitting.kept())?;
+        }
     }
     let mut field = fitting.field()?;
     let description = &field.weights.description;

@@ -24,9 +24,8 @@ use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_worker::{Context, Stage, StageError, StageResult};
 
-pub use fitting::{ClipInputs, Fitting, Progress, fit};
+pub use fitting::{ClipInputs, Fitting, fit};
 pub use params::{FitParams, Rates, RobotMotion, StartFrom};
-pub use scene::Parameters;
 
 /// The stage.
 pub struct Fit {
@@ -78,7 +77,8 @@ impl Stage for Fit {
             field: &field,
             refinement: refinement.as_ref(),
         };
-        let fitted = context.timed("fit", |context| fit(inputs, &self.params, context))?;
+        let kept = context.kept();
+        let fitted = context.timed("fit", |context| fit(inputs, &self.params, kept.as_ref(), context))?;
         context.write(&fitted)
     }
 }

@@ -21,21 +21,21 @@ const IDENTITY: BaseMotion = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0];
 
 /// What is optimised: differences from the start, all 0 at first.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Parameters {
+pub(crate) struct Parameters {
     /// Centres, metres. `[N, 3]`
-    pub position_m: Vec<f32>,
+    pub(crate) position_m: Vec<f32>,
     /// Natural logarithms of scales. `[N, 3]`
-    pub scale: Vec<f32>,
+    pub(crate) scale: Vec<f32>,
     /// Quaternions. `[N, 4]`
-    pub rotation: Vec<f32>,
+    pub(crate) rotation: Vec<f32>,
     /// Raw opacities. `[N]`
-    pub opacity: Vec<f32>,
+    pub(crate) opacity: Vec<f32>,
     /// Raw colours. `[N, 3]`
-    pub colour: Vec<f32>,
+    pub(crate) colour: Vec<f32>,
     /// Logits of the mixture of rigid motions. `[moving, K]`
-    pub mixture: Vec<f32>,
+    pub(crate) mixture: Vec<f32>,
     /// Rigid motions at the source times; between these they are interpolated. `[sources, K, 9]`
-    pub motion: Vec<f32>,
+    pub(crate) motion: Vec<f32>,
 }
 
 impl Parameters {

@@ -10,6 +10,7 @@ use rogs_geometry::{Base, LinkPoses, Pose, PosedCamera, Recon};
 use rogs_robot_maps::Robot;
 use rogs_schemas::records::clip::{CameraRole, Clip, time_of_frame};
 use rogs_schemas::records::field::{Field, RAW_CHANNELS, TimeSlice, WeightsInfo};
+use rogs_schemas::records::progress::Progress;
 use rogs_schemas::records::robot::{NO_LINK, RobotMaps};
 use rogs_schemas::units::{LengthUnit, UNITS_PER_METRE};
 use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex};
@@ -192,7 +193,7 @@ fn source_views_gain_and_so_do_views_that_were_never_seen() {
         updates: 40,
         ..FitParams::default()
     };
-    let fitted = fit(example.inputs(), &params, &mut Unobserved).unwrap();
+    let fitted = fit(example.inputs(), &params, None, &mut Unobserved).unwrap();
     fitted.check().unwrap();
     let gain = |role: CameraRole, frames: &[u32]| {
         let (before, after) = (
@@ -233,9 +234,11 @@ fn interrupted_fits_and_any_number_of_threads_end_at_the_same_bits() {
             let mut fitting = Fitting::new(example.inputs(), &params).unwrap();
             for update in 0..params.updates {
                 if interrupted && update == 2 {
-                    let progress = fitting.progress().clone();
+                    let kept = fitting.kept();
                     fitting = Fitting::new(example.inputs(), &params).unwrap();
-                    fitting.resume(progress).unwrap();
+                    assert!(fitting.resume(&kept));
+                    let short = Progress { arrays: kept.arrays[1..].to_vec(), ..kept };
+                    assert!(!fitting.resume(&short), "of another fit");
                 }
                 fitting.update().unwrap();
             }
@@ -263,7 +266,7 @@ fn links_can_move_the_robot() {
         field: &field,
         ..example.inputs()
     };
-    let fitted = fit(inputs, &params, &mut Unobserved).unwrap();
+    let fitted = fit(inputs, &params, None, &mut Unobserved).unwrap();
     fitted.check().unwrap();
     let mut moved = 0.0f32;
     for (before, after) in example.field.slices.iter().zip(&fitted.slices) {
