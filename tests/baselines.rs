@@ -129,7 +129,19 @@ lift = { erode_px = 1, dilate_px = 2, smallest_cluster = 3, clusters = 3, track_
 #[test]
 fn shape_of_motion_needs_sidecars_and_what_fails_is_counted() {
     let workspace = Workspace::small(2);
-    let synth = ["synth", "--out", "data", "--episodes", "2", "--seed", "11", "--frames", "17", "--size", "56x42"];
+    let synth = [
+        "synth",
+        "--out",
+        "data",
+        "--episodes",
+        "2",
+        "--seed",
+        "11",
+        "--frames",
+        "17",
+        "--size",
+        "56x42",
+    ];
     let output = workspace.rogs(&[&synth[..], &["--sidecars", "--sidecar-noise"]].concat());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     workspace.manifest("plain.toml", "run");
@@ -142,7 +154,10 @@ fn shape_of_motion_needs_sidecars_and_what_fails_is_counted() {
     let refused = workspace.rogs(&["plan", "som.toml"]);
     let message = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert_eq!(refused.status.code(), Some(2), "{message}");
-    assert!(message.contains("names no folder of them") && message.contains("[sidecars]"), "{message}");
+    assert!(
+        message.contains("names no folder of them") && message.contains("[sidecars]"),
+        "{message}"
+    );
     // One of the two clips has none: it fails by name, the other has scores, and the row says so.
     let mut clips: Vec<_> = (std::fs::read_dir(workspace.path("data/sidecars")).unwrap())
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())

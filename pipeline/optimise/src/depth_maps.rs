@@ -67,7 +67,9 @@ pub fn aligned_depth(relative: &[f32], metric_m: &[f32]) -> Result<Vec<f32>> {
     let median = |values: &[f64]| lower_median(values).unwrap_or(0.0);
     let (middle, own_middle) = (median(&wanted), median(&given));
     let ratios = wanted.iter().zip(&given);
-    let ratios: Vec<f64> = ratios.map(|(d, m)| (d - middle + 1e-8) / (m - own_middle + 1e-8)).collect();
+    let ratios: Vec<f64> = ratios
+        .map(|(d, m)| (d - middle + 1e-8) / (m - own_middle + 1e-8))
+        .collect();
     let scale = median(&ratios);
     let offsets: Vec<f64> = wanted.iter().zip(&given).map(|(d, m)| d - scale * m).collect();
     let offset = median(&offsets);
@@ -126,7 +128,11 @@ mod tests {
         let mut outliers = metric.clone();
         outliers.iter_mut().step_by(5).for_each(|depth| *depth *= 3.0);
         let found = aligned_depth(&relative, &outliers).unwrap();
-        let off = found.iter().zip(&metric).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f32::max);
+        let off = found
+            .iter()
+            .zip(&metric)
+            .map(|(a, b)| (a / b - 1.0).abs())
+            .fold(0.0, f32::max);
         assert!(off < 0.3, "{off}");
         assert!(aligned_depth(&relative[1..], &metric).is_err());
     }

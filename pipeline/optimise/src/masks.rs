@@ -74,7 +74,12 @@ mod tests {
             }
         }
         // What fills the image has no border inside of it.
-        assert!(sides(&[true; 12], 3, 4, 3, 6).unwrap().iter().all(|&s| s == Side::Foreground));
+        assert!(
+            sides(&[true; 12], 3, 4, 3, 6)
+                .unwrap()
+                .iter()
+                .all(|&s| s == Side::Foreground)
+        );
         assert!(sides(&[true; 11], 3, 4, 3, 6).is_err());
     }
 }

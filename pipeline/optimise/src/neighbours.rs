@@ -74,7 +74,11 @@ mod tests {
             let mut all: Vec<f64> = others.map(|(_, other)| own.distance(*other)).collect();
             all.sort_by(f64::total_cmp);
             let expected = all[..3].iter().sum::<f64>() / 3.0;
-            assert!((found[index] - expected).abs() < 1e-12, "{index}: {} {expected}", found[index]);
+            assert!(
+                (found[index] - expected).abs() < 1e-12,
+                "{index}: {} {expected}",
+                found[index]
+            );
         }
         assert_eq!(mean_distances(&points[..1], 3), [0.0]);
         assert!(mean_distances(&[], 3).is_empty());

@@ -226,7 +226,12 @@ mod tests {
         assert_eq!(Own::by_4dgt(&json!({}), &clip()).visual, "17 / camera");
         let som = Own::by_som(&clip(), SCALE_ONLY);
         assert_eq!(
-            (som.visual.as_str(), som.states.as_str(), som.mesh.as_str(), som.stereo.as_str()),
+            (
+                som.visual.as_str(),
+                som.states.as_str(),
+                som.mesh.as_str(),
+                som.stereo.as_str()
+            ),
             ("17 / camera", "FK masks only", "foreground mask", SCALE_ONLY)
         );
         let few = Own::by_4dgt(&json!({"frames": "source"}), &clip());

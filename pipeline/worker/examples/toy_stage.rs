@@ -10,6 +10,7 @@ use std::time::Duration;
 use rogs_r4c::Record;
 use rogs_schemas::SchemaId;
 use rogs_schemas::protocol::InputDescription;
+use rogs_schemas::records::progress::Progress;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
 use rogs_worker::{Context, Stage, StageError, StageResult, stage_main};
 use schemars::JsonSchema;
@@ -78,6 +79,20 @@ impl Stage for Toy {
             "fail" => return Err(StageError::bad_input("the text says so").with_hint("write another text")),
             "silent" => return Ok(()),
             "abort" => std::process::abort(),
+            // Killed at its first step, and where it is asked for once more at its second.
+            "steps" => {
+                let done = context.kept().and_then(|kept| kept.counter("steps")).unwrap_or(0);
+                if done < 2 {
+                    context.keep(&Progress {
+                        clip_id: context.clip_id().clone(),
+                        counters: vec![("steps".to_owned(), done + 1)],
+                        arrays: Vec::new(),
+                        notes: Vec::new(),
+                    })?;
+                    std::process::abort();
+                }
+                text = format!("after {done}");
+            }
             "litter" => {
                 let litter = rogs_files::Draft::begin(&path.with_file_name("out.r4c"));
                 std::mem::forget(litter.map_err(|error| StageError::io(error.to_string()))?);

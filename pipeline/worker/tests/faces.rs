@@ -271,6 +271,36 @@ fn nothing_is_left_beside_the_output() {
 }
 
 #[test]
+fn a_killed_job_goes_on_from_what_it_kept_and_another_does_not() {
+    let folder = Folder::new();
+    let kept = "out.progress.r4c".to_owned();
+    let die = |job: &Job| {
+        let mut worker = Worker::start();
+        worker.event();
+        worker.send(job);
+        assert!(!worker.child.wait().unwrap().success());
+    };
+    let first = folder.job(1, "steps");
+    die(&first);
+    die(&first);
+    assert_eq!(folder.names(), [&kept, "source-1"]);
+    // A job of another key begins at its beginning, in the place of what was kept.
+    die(&folder.job(2, "steps"));
+    die(&first);
+    die(&first);
+    let mut worker = Worker::start();
+    worker.event();
+    warnings(worker.run(&first));
+    assert_eq!(method(&first.output), "after 2");
+    assert_eq!(folder.names(), ["out.r4c", "source-1", "source-2"]);
+    // What is damaged counts as nothing, and what failed for good is taken away.
+    folder.text(&kept, "no record");
+    assert_eq!(failure(worker.run(&folder.job(1, "fail"))).0, FailureCode::BadInput);
+    worker.finish();
+    assert_eq!(folder.names(), ["out.r4c", "source-1", "source-2"]);
+}
+
+#[test]
 fn termination_gives_up_the_clip_in_hand_and_exits_75() {
     let folder = Folder::new();
     let terminate = |worker: &Worker| {

@@ -58,7 +58,11 @@ impl BasisGaussians {
         let n = self.len();
         let of_bases = product("bases", &[self.bases, self.frames])?;
         count("rotations", self.rotations.len(), product("bases", &[of_bases, 6])?)?;
-        count("translations", self.translations.len(), product("bases", &[of_bases, 3])?)?;
+        count(
+            "translations",
+            self.translations.len(),
+            product("bases", &[of_bases, 3])?,
+        )?;
         let foreground = self.foreground();
         count("coefficients", self.coefficients.len(), foreground.min(n) * self.bases)?;
         count("means", self.means.len(), 3 * n)?;

@@ -22,19 +22,28 @@ impl Progress {
     /// The value of a counter.
     #[must_use]
     pub fn counter(&self, name: &str) -> Option<u64> {
-        self.counters.iter().find(|(own, _)| own == name).map(|(_, value)| *value)
+        self.counters
+            .iter()
+            .find(|(own, _)| own == name)
+            .map(|(_, value)| *value)
     }
 
     /// The values of an array.
     #[must_use]
     pub fn array(&self, name: &str) -> Option<&[f32]> {
-        self.arrays.iter().find(|own| own.name == name).map(|own| own.data.as_slice())
+        self.arrays
+            .iter()
+            .find(|own| own.name == name)
+            .map(|own| own.data.as_slice())
     }
 
     /// A text.
     #[must_use]
     pub fn note(&self, name: &str) -> Option<&str> {
-        self.notes.iter().find(|(own, _)| own == name).map(|(_, text)| text.as_str())
+        self.notes
+            .iter()
+            .find(|(own, _)| own == name)
+            .map(|(_, text)| text.as_str())
     }
 
     /// The arrays have the sizes of their shapes.

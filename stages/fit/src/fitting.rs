@@ -146,7 +146,11 @@ impl<'a> Fitting<'a> {
         let groups = groups_mut(&mut progress.parameters);
         for ((name, values), moments) in NAMES.iter().zip(groups).zip(&mut progress.moments) {
             moments.updates = progress.updates;
-            for (part, to) in [("", values), (".first", &mut moments.first), (".second", &mut moments.second)] {
+            for (part, to) in [
+                ("", values),
+                (".first", &mut moments.first),
+                (".second", &mut moments.second),
+            ] {
                 let from = kept.array(&format!("{name}{part}"))?;
                 if from.len() != to.len() {
                     return None;

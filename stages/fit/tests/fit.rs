@@ -237,7 +237,10 @@ fn interrupted_fits_and_any_number_of_threads_end_at_the_same_bits() {
                     let kept = fitting.kept();
                     fitting = Fitting::new(example.inputs(), &params).unwrap();
                     assert!(fitting.resume(&kept));
-                    let short = Progress { arrays: kept.arrays[1..].to_vec(), ..kept };
+                    let short = Progress {
+                        arrays: kept.arrays[1..].to_vec(),
+                        ..kept
+                    };
                     assert!(!fitting.resume(&short), "of another fit");
                 }
                 fitting.update().unwrap();

@@ -43,7 +43,15 @@ fn main() {
     };
     let field = reconstruct(inputs, &params, None, &mut Clock).unwrap();
     for (camera, own) in &field.cameras {
-        println!("camera {camera}: {} Gaussians, {} of them move", own.len(), own.foreground());
+        println!(
+            "camera {camera}: {} Gaussians, {} of them move",
+            own.len(),
+            own.foreground()
+        );
     }
-    println!("{:.1} processor seconds, {:.0} MiB", processor_seconds(), peak_memory_mib());
+    println!(
+        "{:.1} processor seconds, {:.0} MiB",
+        processor_seconds(),
+        peak_memory_mib()
+    );
 }

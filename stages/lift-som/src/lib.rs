@@ -39,7 +39,8 @@ pub struct LiftSom {
 
 impl Stage for LiftSom {
     const NAME: &'static str = "lift-som";
-    const SUMMARY: &'static str = "Optimises Gaussians for every source camera of a clip as the baseline Shape of Motion does.";
+    const SUMMARY: &'static str =
+        "Optimises Gaussians for every source camera of a clip as the baseline Shape of Motion does.";
     const VERSION: u32 = 1;
     const OUTPUT: SchemaId = MotionBasisField::SCHEMA;
     type Params = LiftSomParams;

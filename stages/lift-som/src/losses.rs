@@ -135,7 +135,9 @@ impl<'a> Batch<'a> {
         let mut frames: Vec<usize> = (samples.iter())
             .flat_map(|own| {
                 let around = own.neighbours(observed.len());
-                std::iter::once(own.frame).chain(own.targets.iter().copied()).chain(around)
+                std::iter::once(own.frame)
+                    .chain(own.targets.iter().copied())
+                    .chain(around)
             })
             .collect();
         frames.sort_unstable();
@@ -209,10 +211,13 @@ impl<'a> Batch<'a> {
         let photos = (renders.par_iter().zip(self.samples))
             .map(|(render, sample)| {
                 let frame = &self.observed.frames[sample.frame];
-                let mut own = photometric(&frame.painted(&render.rgb), &frame.target, height, width).map_err(internal)?;
+                let mut own =
+                    photometric(&frame.painted(&render.rgb), &frame.target, height, width).map_err(internal)?;
                 for (pixel, side) in frame.sides.iter().enumerate() {
                     let keep = if *side == Side::Band { 0.0 } else { each as f32 };
-                    own.gradient[3 * pixel..3 * pixel + 3].iter_mut().for_each(|value| *value *= keep);
+                    own.gradient[3 * pixel..3 * pixel + 3]
+                        .iter_mut()
+                        .for_each(|value| *value *= keep);
                 }
                 Ok(own)
             })
@@ -229,7 +234,11 @@ impl<'a> Batch<'a> {
         value += self.opacity_terms(renders, &mut terms)?;
         value += self.depth_terms(renders, &mut terms)?;
         value += self.track_terms(renders, &mut terms)?;
-        debug_assert!(terms.iter().all(|term| term.alpha.len() == area && term.depth.len() == area));
+        debug_assert!(
+            terms
+                .iter()
+                .all(|term| term.alpha.len() == area && term.depth.len() == area)
+        );
         Ok((value, terms))
     }
 
@@ -241,7 +250,11 @@ impl<'a> Batch<'a> {
         for (render, term) in renders.iter().zip(terms.iter_mut()) {
             let off = |alpha: &f32| f64::from(*alpha) - 1.0;
             value += each * render.alpha.iter().map(|alpha| off(alpha) * off(alpha)).sum::<f64>();
-            term.alpha = render.alpha.iter().map(|alpha| (2.0 * each * off(alpha)) as f32).collect();
+            term.alpha = render
+                .alpha
+                .iter()
+                .map(|alpha| (2.0 * each * off(alpha)) as f32)
+                .collect();
         }
         let shown: Vec<f32> = (renders.iter())
             .flat_map(|render| render.extra_accumulated.iter().step_by(render.extra_channels).copied())
@@ -259,8 +272,14 @@ impl<'a> Batch<'a> {
     /// Rendered depth against that of the sidecars, and its steps from pixel to pixel.
     fn depth_terms(&self, renders: &[&Render], terms: &mut [Term]) -> StageResult<f64> {
         let (height, width) = (self.observed.height, self.observed.width);
-        let depths: Vec<f32> = renders.iter().flat_map(|render| render.depth_expected.iter().copied()).collect();
-        let targets: Vec<f32> = self.frames_of().flat_map(|frame| frame.depth_m.iter().copied()).collect();
+        let depths: Vec<f32> = renders
+            .iter()
+            .flat_map(|render| render.depth_expected.iter().copied())
+            .collect();
+        let targets: Vec<f32> = self
+            .frames_of()
+            .flat_map(|frame| frame.depth_m.iter().copied())
+            .collect();
         let valid: Vec<bool> = self
             .frames_of()
             .flat_map(|frame| frame.sides.iter().map(|&side| side != Side::Band))
@@ -270,7 +289,10 @@ impl<'a> Batch<'a> {
             value: 0.0,
             gradient: vec![0.0; depths.len()],
         };
-        own.add(DEPTH, &disparity_l1(&depths, &targets, &weights, KEPT).map_err(internal)?);
+        own.add(
+            DEPTH,
+            &disparity_l1(&depths, &targets, &weights, KEPT).map_err(internal)?,
+        );
         let disparity = |depth: &f32| 1.0 / (depth + DEPTH_EPSILON);
         let shown: Vec<f32> = depths.iter().map(disparity).collect();
         let wanted: Vec<f32> = targets.iter().map(disparity).collect();
@@ -379,7 +401,8 @@ impl<'a> Batch<'a> {
                     add(to, 1.0, &gradient.as_vec3().to_array());
                 }
             }
-            let half = [self.observed.width, self.observed.height].map(|side| 0.5 * side as f32 * self.samples.len() as f32);
+            let half =
+                [self.observed.width, self.observed.height].map(|side| 0.5 * side as f32 * self.samples.len() as f32);
             for &index in visible {
                 let index = index as usize;
                 let [x, y] = [0, 1].map(|axis| own.screen[2 * index + axis] * half[axis]);
@@ -428,7 +451,10 @@ impl<'a> Batch<'a> {
                 }
             }
         }
-        let centres: Vec<DVec3> = self.frames_of().map(|frame| frame.base_from_camera.translation).collect();
+        let centres: Vec<DVec3> = self
+            .frames_of()
+            .map(|frame| frame.base_from_camera.translation)
+            .collect();
         let mut own = Loss {
             value: 0.0,
             gradient: vec![0.0; means.len()],
@@ -515,7 +541,10 @@ mod tests {
             };
             let found = (at(1.0) - at(-1.0)) / (2.0 * f64::from(step));
             println!("array {index}: {found:.5}, the gradient says {length:.5}");
-            assert!((found - length).abs() < tolerance * length, "array {index}: {found} {length}");
+            assert!(
+                (found - length).abs() < tolerance * length,
+                "array {index}: {found} {length}"
+            );
         }
     }
 
@@ -539,7 +568,9 @@ mod tests {
         let targets = Targets::new(&followed, &observed);
         let mut steps = [0.0; 13];
         [steps[0], steps[5], steps[11], steps[12]] = [1e-3; 4];
-        check(&scene, steps, 0.05, |scene| tracks_alone::loss(scene, &targets, 0.05).unwrap());
+        check(&scene, steps, 0.05, |scene| {
+            tracks_alone::loss(scene, &targets, 0.05).unwrap()
+        });
         let batch = [
             Sample {
                 frame: 0,

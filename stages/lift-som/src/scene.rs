@@ -253,13 +253,24 @@ impl State {
         let (scales, opacities) = (all[arrays.start + 2], all[arrays.start + 3]);
         let high = |row: usize| self.screen[first + row] / self.seen[first + row].max(1.0) > GROW;
         let large = |row: usize| {
-            let largest = scales[3 * row..3 * row + 3].iter().copied().fold(f32::NEG_INFINITY, f32::max);
+            let largest = scales[3 * row..3 * row + 3]
+                .iter()
+                .copied()
+                .fold(f32::NEG_INFINITY, f32::max);
             libm::expf(largest) > SPLIT_M
         };
         let row = |row: usize, kind: Kind| Row { row, kind };
-        let kept = (0..count).filter(|&at| !(high(at) && large(at))).map(|at| row(at, Kind::Kept));
-        let doubled = (0..count).filter(|&at| high(at) && !large(at)).map(|at| row(at, Kind::Copy));
-        let split = || (0..count).filter(|&at| high(at) && large(at)).map(|at| row(at, Kind::Half));
+        let kept = (0..count)
+            .filter(|&at| !(high(at) && large(at)))
+            .map(|at| row(at, Kind::Kept));
+        let doubled = (0..count)
+            .filter(|&at| high(at) && !large(at))
+            .map(|at| row(at, Kind::Copy));
+        let split = || {
+            (0..count)
+                .filter(|&at| high(at) && large(at))
+                .map(|at| row(at, Kind::Half))
+        };
         let rows = kept.chain(doubled).chain(split()).chain(split());
         rows.filter(|own| logistic(opacities[own.row]) >= OPAQUE).collect()
     }
@@ -268,13 +279,19 @@ impl State {
     fn take(&mut self, rows: &[Row], arrays: std::ops::Range<usize>) {
         let widths = self.scene.widths();
         let scales = arrays.start + 2;
-        let mut all = self.scene.arrays_mut();
+        let all = self.scene.arrays_mut();
         for index in arrays {
             let width = widths[index];
             let old = std::mem::take(all[index]);
             let values = rows.iter().flat_map(|own| {
-                let off = if index == scales && own.kind == Kind::Half { SHRINK } else { 0.0 };
-                old[own.row * width..(own.row + 1) * width].iter().map(move |value| value - off)
+                let off = if index == scales && own.kind == Kind::Half {
+                    SHRINK
+                } else {
+                    0.0
+                };
+                old[own.row * width..(own.row + 1) * width]
+                    .iter()
+                    .map(move |value| value - off)
             });
             *all[index] = values.collect();
             let moments = &mut self.moments[index];
@@ -282,7 +299,9 @@ impl State {
                 let old = std::mem::take(moment);
                 let values = rows.iter().flat_map(|own| {
                     let keep = if own.kind == Kind::Kept { 1.0 } else { 0.0 };
-                    old[own.row * width..(own.row + 1) * width].iter().map(move |value| value * keep)
+                    old[own.row * width..(own.row + 1) * width]
+                        .iter()
+                        .map(move |value| value * keep)
                 });
                 *moment = values.collect();
             }
@@ -343,7 +362,9 @@ impl State {
             .zip(&state.moments)
             .all(|(array, moments)| moments.first.len() == array.len() && moments.second.len() == array.len());
         let count = state.scene.len();
-        let whole = state.scene.clone().into_gaussians().check().is_ok() && state.screen.len() == count && state.seen.len() == count;
+        let whole = state.scene.clone().into_gaussians().check().is_ok()
+            && state.screen.len() == count
+            && state.seen.len() == count;
         (fits && whole).then_some(state)
     }
 }
@@ -416,7 +437,10 @@ mod tests {
         state.scene.background.opacities[1] = -3.0;
         state.control().unwrap();
         let fg = &state.scene.foreground;
-        assert_eq!(fg.means.chunks(3).map(|mean| mean[0]).collect::<Vec<_>>(), [3.0, 6.0, 3.0, 0.0, 0.0]);
+        assert_eq!(
+            fg.means.chunks(3).map(|mean| mean[0]).collect::<Vec<_>>(),
+            [3.0, 6.0, 3.0, 0.0, 0.0]
+        );
         assert_eq!(state.scene.coefficients, [0.2, 0.3, 0.2, 0.1, 0.1]);
         assert!((fg.scales[9] + 3.0 + 1.6f32.ln()).abs() < 1e-6);
         assert_eq!(state.scene.background.len(), 1);
@@ -435,7 +459,13 @@ mod tests {
         }
         state.updates = 400;
         state.scene.foreground.opacities.fill(-5.0);
-        assert!(state.control().unwrap_err().message.contains("no Gaussian of the foreground"));
+        assert!(
+            state
+                .control()
+                .unwrap_err()
+                .message
+                .contains("no Gaussian of the foreground")
+        );
     }
 
     #[test]

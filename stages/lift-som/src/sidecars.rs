@@ -134,7 +134,10 @@ impl Place<'_> {
             let name = query.to_string();
             let array = file.need(&[&name]).map_err(|error| self.arrays(error))?;
             let [points, times, 4] = array.shape[..] else {
-                return Err(self.bad(format!("array `{name}`: its shape is {:?}: expected [N, {frames}, 4]", array.shape)));
+                return Err(self.bad(format!(
+                    "array `{name}`: its shape is {:?}: expected [N, {frames}, 4]",
+                    array.shape
+                )));
             };
             if times != frames || points > grid {
                 return Err(self.bad(format!(

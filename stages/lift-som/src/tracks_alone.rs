@@ -97,8 +97,15 @@ impl<'a> Targets<'a> {
         Self {
             observed,
             frames,
-            positions_m: followed.positions_m.iter().flat_map(|place| place.as_vec3().to_array()).collect(),
-            seen: sights.iter().map(|sight| if sight.visible { sight.confidence } else { 0.0 }).collect(),
+            positions_m: followed
+                .positions_m
+                .iter()
+                .flat_map(|place| place.as_vec3().to_array())
+                .collect(),
+            seen: sights
+                .iter()
+                .map(|sight| if sight.visible { sight.confidence } else { 0.0 })
+                .collect(),
             sure: hidden.iter().map(|&at| sights[at].confidence).collect(),
             pixels: hidden.iter().flat_map(pixel).collect(),
             hidden,
@@ -167,7 +174,9 @@ pub(crate) fn loss(scene: &Scene, targets: &Targets<'_>, smooth: f64) -> StageRe
             [positions[from], positions[from + 1], positions[from + 2]]
         })
         .collect();
-    let centres: Vec<DVec3> = (1..=middle).map(|frame| observed.frames[frame].base_from_camera.translation).collect();
+    let centres: Vec<DVec3> = (1..=middle)
+        .map(|frame| observed.frames[frame].base_from_camera.translation)
+        .collect();
     let ray = ray_acceleration(&neighbours, &centres).map_err(internal)?;
     total.value += ALONG_RAY * ray.value;
     for (at, gradient) in ray.gradient.chunks_exact(3).enumerate() {
@@ -200,14 +209,21 @@ pub(crate) fn loss(scene: &Scene, targets: &Targets<'_>, smooth: f64) -> StageRe
 /// Image points of hidden tracks, in focal lengths.
 fn hidden(targets: &Targets<'_>, positions: &[f32]) -> StageResult<Loss> {
     let observed = targets.observed;
-    let cameras: Vec<_> = observed.frames.iter().map(|frame| frame.base_from_camera.inverse()).collect();
+    let cameras: Vec<_> = observed
+        .frames
+        .iter()
+        .map(|frame| frame.base_from_camera.inverse())
+        .collect();
     let image = |&at: &usize| {
         let place = &positions[3 * at..3 * at + 3];
         let point = cameras[at % targets.frames].point(DVec3::new(place[0].into(), place[1].into(), place[2].into()));
         Image::of(observed, point)
     };
     let images: Vec<Image> = targets.hidden.iter().map(image).collect();
-    let places: Vec<f32> = images.iter().flat_map(|image| image.place.as_vec2().to_array()).collect();
+    let places: Vec<f32> = images
+        .iter()
+        .flat_map(|image| image.place.as_vec2().to_array())
+        .collect();
     let own = masked_l1(&places, &targets.pixels, &targets.sure, HIDDEN_KEPT).map_err(internal)?;
     let weight = HIDDEN / observed.lens.intrinsics.fx;
     let mut loss = Loss {
@@ -216,7 +232,9 @@ fn hidden(targets: &Targets<'_>, positions: &[f32]) -> StageResult<Loss> {
     };
     for ((&at, image), gradient) in targets.hidden.iter().zip(&images).zip(own.gradient.chunks_exact(2)) {
         let in_camera = image.gradient([gradient[0], gradient[1]]) * weight;
-        let in_base = observed.frames[at % targets.frames].base_from_camera.direction(in_camera);
+        let in_base = observed.frames[at % targets.frames]
+            .base_from_camera
+            .direction(in_camera);
         for axis in 0..3 {
             loss.gradient[3 * at + axis] += in_base[axis] as f32;
         }
@@ -228,7 +246,10 @@ fn hidden(targets: &Targets<'_>, positions: &[f32]) -> StageResult<Loss> {
 fn mixture(shares: &[f32], bases: usize, gradient: &mut [f32]) -> f64 {
     let count = (shares.len() / bases.max(1)).max(1) as f64;
     let mut value = MIXTURE;
-    for (row, to) in shares.chunks_exact(bases.max(1)).zip(gradient.chunks_exact_mut(bases.max(1))) {
+    for (row, to) in shares
+        .chunks_exact(bases.max(1))
+        .zip(gradient.chunks_exact_mut(bases.max(1)))
+    {
         let square: f64 = row.iter().map(|&share| f64::from(share) * f64::from(share)).sum();
         value -= MIXTURE * square / count;
         for (to, &share) in to.iter_mut().zip(row) {

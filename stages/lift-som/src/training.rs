@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
+use rogs_schemas::ClipId;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::{NamedArray, WeightsInfo};
 use rogs_schemas::records::motion_bases::{BasisGaussians, MotionBasisField};
 use rogs_schemas::records::progress::Progress;
 use rogs_schemas::records::robot::RobotMaps;
-use rogs_schemas::ClipId;
 use rogs_worker::{Observer, Part, StageError, StageResult};
 
 use crate::initial::{self, draw, purpose};
@@ -134,7 +134,8 @@ impl Fitting<'_> {
                     said.value,
                     state.scene.len()
                 );
-                self.observer.progress(TRACKS_SHARE + (1.0 - TRACKS_SHARE) * share, &what);
+                self.observer
+                    .progress(TRACKS_SHARE + (1.0 - TRACKS_SHARE) * share, &what);
             }
             if done.is_multiple_of(KEEP_EVERY) && done < updates {
                 self.keep(&state)?;
@@ -146,7 +147,9 @@ impl Fitting<'_> {
     /// The scene before the first image is rendered.
     fn begin(&mut self) -> StageResult<State> {
         let (observed, params) = (self.observed, self.params);
-        let made = self.observer.phase("initial", 0.0, || initial::scene(observed, params, self.camera));
+        let made = self
+            .observer
+            .phase("initial", 0.0, || initial::scene(observed, params, self.camera));
         let (mut scene, followed) = made?;
         let mut part = Part::new(self.observer, 0.01, TRACKS_SHARE - 0.01);
         tracks_alone::fit(&mut scene, &followed, observed, params.track_updates, &mut part)?;
@@ -181,7 +184,9 @@ impl Fitting<'_> {
         };
         for (number, field) in self.fields.iter().enumerate() {
             progress.counters.push((format!("{number}.bases"), field.bases as u64));
-            progress.counters.push((format!("{number}.frames"), field.frames as u64));
+            progress
+                .counters
+                .push((format!("{number}.frames"), field.frames as u64));
             for (name, data) in FIELDS.iter().zip(arrays(field)) {
                 progress.arrays.push(NamedArray {
                     name: format!("{number}.{name}"),
@@ -235,7 +240,16 @@ impl Done {
         let field = |number: u64| {
             let array = |name: &str| progress.array(&format!("{number}.{name}")).map(<[f32]>::to_vec);
             let counter = |name: &str| usize::try_from(progress.counter(&format!("{number}.{name}"))?).ok();
-            let [rotations, translations, coefficients, means, quats, scales, opacities, colours] = FIELDS.map(array);
+            let [
+                rotations,
+                translations,
+                coefficients,
+                means,
+                quats,
+                scales,
+                opacities,
+                colours,
+            ] = FIELDS.map(array);
             let field = BasisGaussians {
                 bases: counter("bases")?,
                 frames: counter("frames")?,
@@ -250,7 +264,9 @@ impl Done {
             };
             field.check().is_ok().then_some(field)
         };
-        let fields = (0..progress.counter("cameras")?).map(field).collect::<Option<Vec<_>>>()?;
+        let fields = (0..progress.counter("cameras")?)
+            .map(field)
+            .collect::<Option<Vec<_>>>()?;
         Some(Self {
             fields,
             state: Some(State::restore(&progress)?),

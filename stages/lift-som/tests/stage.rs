@@ -80,7 +80,9 @@ fn foreground(own: &BasisGaussians, frame: usize) -> Vec<f32> {
     let count = own.foreground();
     let shares = shares(&own.coefficients, own.bases);
     let (means, quats) = (&own.means[..3 * count], &own.quats[..4 * count]);
-    move_gaussians(&bases.at(frame).unwrap(), &shares, means, quats).unwrap().means
+    move_gaussians(&bases.at(frame).unwrap(), &shares, means, quats)
+        .unwrap()
+        .means
 }
 
 /// Peak signal to noise of a camera's image at a frame, dB.
@@ -108,7 +110,9 @@ fn psnr(case: &Case, field: &MotionBasisField, camera: usize, frame: usize) -> f
     let image = render(&gaussians, &RasterCamera::new(&posed, LengthUnit::Metre), &config).unwrap();
     let target = case.clip.target(index, at).unwrap();
     let errors = image.rgb.iter().zip(target.rgb());
-    let square: f64 = errors.map(|(a, &b)| (f64::from(*a) - f64::from(b) / 255.0).powi(2)).sum();
+    let square: f64 = errors
+        .map(|(a, &b)| (f64::from(*a) - f64::from(b) / 255.0).powi(2))
+        .sum();
     -10.0 * (square / image.rgb.len() as f64).log10()
 }
 
@@ -120,7 +124,10 @@ fn the_plate_is_found_in_metres_and_moves() {
     field.check().unwrap();
     assert_eq!(field.cameras.len(), 2);
     let description = &field.weights.description;
-    assert!(description.contains(&format!("ext1 {FACTOR:.6}, ext2 {FACTOR:.6}")), "{description}");
+    assert!(
+        description.contains(&format!("ext1 {FACTOR:.6}, ext2 {FACTOR:.6}")),
+        "{description}"
+    );
     for (camera, own) in &field.cameras {
         assert_eq!(own.frames, FRAMES);
         let (first, last) = (foreground(own, 0), foreground(own, FRAMES - 1));
@@ -131,12 +138,18 @@ fn the_plate_is_found_in_metres_and_moves() {
         };
         let moved = [0, 1, 2].map(|axis| mean(&last, axis) - mean(&first, axis));
         let expected = STEP_M * (FRAMES - 1) as f64;
-        assert!((moved[0] - expected).abs() < 0.03 && moved[1].abs() < 0.02 && moved[2].abs() < 0.03, "{moved:?}");
+        assert!(
+            (moved[0] - expected).abs() < 0.03 && moved[1].abs() < 0.02 && moved[2].abs() < 0.03,
+            "{moved:?}"
+        );
         assert!((mean(&first, 2) - 1.0).abs() < 0.05, "{}", mean(&first, 2));
         for frame in [0, 3] {
             let [start, end] = [&before, &field].map(|field| psnr(&case, field, camera.at(), frame));
             println!("camera {camera}, frame {frame}: {start:.1} dB, then {end:.1} dB");
-            assert!(end > start + 3.0 && end > 18.0, "camera {camera}, frame {frame}: {start} {end}");
+            assert!(
+                end > start + 3.0 && end > 18.0,
+                "camera {camera}, frame {frame}: {start} {end}"
+            );
         }
     }
 }
@@ -209,13 +222,21 @@ fn a_camera_that_does_not_see_the_robot_is_named() {
         map.link.fill(NO_LINK);
     }
     let error = case.error();
-    assert!(error.message.contains("the foreground mask of camera `ext2` is empty"), "{}", error.message);
+    assert!(
+        error.message.contains("the foreground mask of camera `ext2` is empty"),
+        "{}",
+        error.message
+    );
     assert!(error.hint.unwrap().contains("the clip counts as failed"));
     for map in &mut case.robot.maps {
         map.link.fill(0);
     }
     let error = case.error();
-    assert!(error.message.contains("no pixel of camera `ext1` is background"), "{}", error.message);
+    assert!(
+        error.message.contains("no pixel of camera `ext1` is background"),
+        "{}",
+        error.message
+    );
 }
 
 #[test]
@@ -223,7 +244,13 @@ fn without_stereo_depth_there_is_no_factor() {
     let mut case = Case::new();
     case.clip.cameras[1].depth = None;
     let error = case.error();
-    assert!(error.message.contains("needs stereo depth of camera `ext2`: the clip has none"), "{}", error.message);
+    assert!(
+        error
+            .message
+            .contains("needs stereo depth of camera `ext2`: the clip has none"),
+        "{}",
+        error.message
+    );
     assert!(error.hint.unwrap().contains("[references]"));
 }
 
@@ -242,7 +269,10 @@ fn sidecars_that_are_missing_or_of_other_images_are_named() {
         assert!(error.hint.unwrap().contains("docs/sidecars.md"));
     };
     for name in ["unidepth.npy", "depth-anything.npy", "tracks.npz"] {
-        told(&|case| std::fs::remove_file(case.file(name)).unwrap(), &[name, "it is not there"]);
+        told(
+            &|case| std::fs::remove_file(case.file(name)).unwrap(),
+            &[name, "it is not there"],
+        );
         told(&|case| std::fs::write(case.file(name), b"no array").unwrap(), &[name]);
     }
     told(
@@ -250,7 +280,13 @@ fn sidecars_that_are_missing_or_of_other_images_are_named() {
         &["its shape is [6, 40, 26]: expected [6, 26, 40]"],
     );
     told(
-        &|case| write(&case.file("depth-anything.npy"), &[FRAMES - 1, HEIGHT, WIDTH], &ones[HEIGHT * WIDTH..]),
+        &|case| {
+            write(
+                &case.file("depth-anything.npy"),
+                &[FRAMES - 1, HEIGHT, WIDTH],
+                &ones[HEIGHT * WIDTH..],
+            )
+        },
         &["its shape is [5, 26, 40]"],
     );
     let mut wrong = ones.clone();
@@ -260,7 +296,10 @@ fn sidecars_that_are_missing_or_of_other_images_are_named() {
         &["frame 1, row 1, column 3 is NaN: expected finite numbers"],
     );
     wrong[HEIGHT * WIDTH + WIDTH + 3] = 0.0;
-    told(&|case| write(&case.file("unidepth.npy"), &shape, &wrong), &["is 0: expected depths above 0"]);
+    told(
+        &|case| write(&case.file("unidepth.npy"), &shape, &wrong),
+        &["is 0: expected depths above 0"],
+    );
     wrong[HEIGHT * WIDTH + WIDTH + 3] = -1.0;
     told(
         &|case| write(&case.file("depth-anything.npy"), &shape, &wrong),
@@ -273,13 +312,22 @@ fn sidecars_that_are_missing_or_of_other_images_are_named() {
             .collect();
         write_npz(&case.file("tracks.npz"), &arrays).unwrap();
     };
-    told(&|case| tracks(case, [4.0, 8.0, 0.0, 0.0], FRAMES - 1, FRAMES), &["array `0`", "[1, 5, 4]"]);
-    told(&|case| tracks(case, [4.0, 8.0, 0.0, 0.0], FRAMES, FRAMES - 1), &["it has no array `5`"]);
+    told(
+        &|case| tracks(case, [4.0, 8.0, 0.0, 0.0], FRAMES - 1, FRAMES),
+        &["array `0`", "[1, 5, 4]"],
+    );
+    told(
+        &|case| tracks(case, [4.0, 8.0, 0.0, 0.0], FRAMES, FRAMES - 1),
+        &["it has no array `5`"],
+    );
     told(
         &|case| tracks(case, [40.0, 8.0, 0.0, 0.0], FRAMES, FRAMES),
         &["point 0 begins at (40, 8)", "an image of 40x26"],
     );
-    told(&|case| tracks(case, [4.5, 8.0, 0.0, 0.0], FRAMES, FRAMES), &["begins at (4.5, 8)"]);
+    told(
+        &|case| tracks(case, [4.5, 8.0, 0.0, 0.0], FRAMES, FRAMES),
+        &["begins at (4.5, 8)"],
+    );
     told(
         &|case| tracks(case, [4.0, 8.0, f32::INFINITY, 0.0], FRAMES, FRAMES),
         &["point 0, frame 0, column 2 is inf"],

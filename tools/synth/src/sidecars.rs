@@ -205,7 +205,11 @@ impl Camera<'_> {
             for target in 0..self.frames.len() {
                 let own = [column as f64, row as f64];
                 let seen = if target == query {
-                    Tracked { place: own, visible: true, known: true }
+                    Tracked {
+                        place: own,
+                        visible: true,
+                        known: true,
+                    }
                 } else {
                     self.follow(id, point, query, target, own)
                 };
@@ -259,7 +263,10 @@ impl Camera<'_> {
         let (hidden, unsure) = if exact {
             (sign * CERTAIN, if seen.known { -CERTAIN } else { CERTAIN })
         } else {
-            (sign * 4.0 + 1.5 * hidden, if seen.known { -2.5 } else { 2.5 } + 1.5 * unsure)
+            (
+                sign * 4.0 + 1.5 * hidden,
+                if seen.known { -2.5 } else { 2.5 } + 1.5 * unsure,
+            )
         };
         let [x, y] = seen.place;
         let place = if own { [x, y] } else { [x + dx, y + dy] };
@@ -283,7 +290,12 @@ impl Smooth {
     fn new(draw: &mut Draw) -> Self {
         Self(std::array::from_fn(|_| {
             let turn = std::f64::consts::TAU;
-            [draw.normal() * turn, draw.normal() * turn, draw.unit() * turn, draw.normal()]
+            [
+                draw.normal() * turn,
+                draw.normal() * turn,
+                draw.unit() * turn,
+                draw.normal(),
+            ]
         }))
     }
 
@@ -334,11 +346,15 @@ mod tests {
         for number in 0..5 {
             let view = &episode.render_cameras(2 + number, &[1])[0];
             let own = &metric[number * area..(number + 1) * area];
-            assert!(own.iter().zip(&view.depth_m).all(|(a, b)| *a == f64::from(*b)), "{number}");
+            assert!(
+                own.iter().zip(&view.depth_m).all(|(a, b)| *a == f64::from(*b)),
+                "{number}"
+            );
             // Relative disparity is a straight line of the inverse of depth.
             let own_relative = &relative[number * area..(number + 1) * area];
             let near = own.iter().map(|depth| 1.0 / depth);
-            let [low, high] = [f64::min as fn(f64, f64) -> f64, f64::max].map(|pick| near.clone().reduce(pick).unwrap());
+            let [low, high] =
+                [f64::min as fn(f64, f64) -> f64, f64::max].map(|pick| near.clone().reduce(pick).unwrap());
             for (depth, found) in own.iter().zip(own_relative) {
                 let expected = (1.0 / depth - low) / (high - low) * 65_535.0;
                 assert!((found - expected).abs() <= 0.5001, "{found} {expected}");
@@ -354,7 +370,9 @@ mod tests {
         let (lens, mut moved, mut seen) = (&episode.cameras[1].lens, 0.0f64, 0);
         for query in 0..5 {
             let tracks = file.need(&[&query.to_string()]).unwrap();
-            let [points, 5, 4] = tracks.shape[..] else { panic!("{:?}", tracks.shape) };
+            let [points, 5, 4] = tracks.shape[..] else {
+                panic!("{:?}", tracks.shape)
+            };
             assert!(points > 20, "{points}");
             for track in tracks.into_floats().chunks_exact(20) {
                 let place = |frame: usize| [track[4 * frame], track[4 * frame + 1]];
@@ -386,7 +404,10 @@ mod tests {
         let ratios: Vec<f64> = a.iter().zip(&b).map(|(a, b)| (b / a).ln()).collect();
         let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
         let deviation = (ratios.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / ratios.len() as f64).sqrt();
-        assert!(mean != 0.0 && mean.abs() < 0.6 && (0.01..0.2).contains(&deviation), "{mean} {deviation}");
+        assert!(
+            mean != 0.0 && mean.abs() < 0.6 && (0.01..0.2).contains(&deviation),
+            "{mean} {deviation}"
+        );
         let tracks = |folder: &tempfile::TempDir| {
             let file = ArrayFile::open(&folder.path().join("clips/a/ext1/tracks.npz")).unwrap();
             file.need(&["1"]).unwrap().into_floats()

@@ -131,7 +131,9 @@ fn main() -> ExitCode {
         Ok(StageId::Ingest) => stage_main_from::<Ingest>(arguments),
         Ok(StageId::RobotMaps) => stage_main_from::<Maps>(arguments),
         Ok(StageId::Conditioning) => stage_main_from::<Kappa>(arguments),
-        Ok(stage @ (StageId::References | StageId::Agreement | StageId::Lift4dgt | StageId::LiftSom | StageId::Fit)) => {
+        Ok(
+            stage @ (StageId::References | StageId::Agreement | StageId::Lift4dgt | StageId::LiftSom | StageId::Fit),
+        ) => {
             eprintln!("error: the toy pipeline has no stage `{stage}`");
             ExitCode::from(2)
         }

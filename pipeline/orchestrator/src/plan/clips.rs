@@ -141,7 +141,10 @@ pub(super) fn add_clips(
         let own = plan.rollout_latents.as_ref().map(|root| latents_file(root, &id));
         let rollout_latents = own.filter(|file| file.is_file());
         let sidecars = |root: &Option<PathBuf>| {
-            let folder = root.as_ref().map(|root| root.join(&id)).filter(|folder| folder.is_dir());
+            let folder = root
+                .as_ref()
+                .map(|root| root.join(&id))
+                .filter(|folder| folder.is_dir());
             folder.map(|folder| sources.source("sidecars", &folder)).transpose()
         };
         let clip = PlannedClip {

@@ -683,11 +683,17 @@ impl<'a> Builder<'a> {
             Setting::Rollout => {
                 let root = rollouts.and_then(|rollouts| rollouts.sidecars.as_ref());
                 let at = At::key("rollouts").then("sidecars");
-                (InputSource::RolloutSidecars, root, at, "sidecars = \"FOLDER\" under [rollouts]")
+                (
+                    InputSource::RolloutSidecars,
+                    root,
+                    at,
+                    "sidecars = \"FOLDER\" under [rollouts]",
+                )
             }
         };
         let Some(root) = root else {
-            let message = format!("`{stage}` needs depth and tracks of every clip, and the manifest names no folder of them");
+            let message =
+                format!("`{stage}` needs depth and tracks of every clip, and the manifest names no folder of them");
             let hint = format!("name it: {key} (docs/sidecars.md)");
             return Err(self.text.error(chain.at(stage), message).with_hint(hint));
         };

@@ -74,7 +74,10 @@ impl Plan {
                 root.map(|root| root.join(&clip.id))
             }
             InputSource::RolloutSidecars => {
-                let root = self.rollout_sidecars.as_ref().filter(|_| clip.rollout_sidecars.is_some());
+                let root = self
+                    .rollout_sidecars
+                    .as_ref()
+                    .filter(|_| clip.rollout_sidecars.is_some());
                 root.map(|root| root.join(&clip.id))
             }
             InputSource::Node(node) => Some(self.run.join(self.output(WorkUnit { node: *node, ..unit }, keys))),

@@ -158,7 +158,14 @@ pub fn backward_with_screen(
         screen: vec![0.0; 2 * gaussians.len()],
         ..Gradients::zeros(gaussians)
     };
-    views::add(gaussians, config, std::slice::from_ref(tape), &[*gradient], true, &mut sum)?;
+    views::add(
+        gaussians,
+        config,
+        std::slice::from_ref(tape),
+        &[*gradient],
+        true,
+        &mut sum,
+    )?;
     Ok(sum)
 }
 

@@ -150,7 +150,11 @@ fn check_room(gaussians: &Gaussians, into: &Gradients) -> Result<()> {
     if into.screen.is_empty() {
         return Ok(());
     }
-    check("gradients of the centres in the image", into.screen.len(), 2 * gaussians.len())
+    check(
+        "gradients of the centres in the image",
+        into.screen.len(),
+        2 * gaussians.len(),
+    )
 }
 
 /// Carries the tiles' sums through the projection, chunk by chunk.

@@ -69,7 +69,11 @@ impl Followed {
             all.sights.extend(lifted.sights);
             all.colours.extend(lifted.colours);
         }
-        let visible = |frame: usize| (0..all.colours.len()).filter(|n| all.sights[n * frames + frame].visible).count();
+        let visible = |frame: usize| {
+            (0..all.colours.len())
+                .filter(|n| all.sights[n * frames + frame].visible)
+                .count()
+        };
         let counts: Vec<usize> = (0..frames).map(visible).collect();
         all.canonical = (1..frames).fold(0, |best, frame| if counts[frame] > counts[best] { frame } else { best });
         let kept = all.near();
@@ -89,8 +93,15 @@ impl Followed {
         let middle = median(places.iter().copied());
         let distances: Vec<f64> = places.iter().map(|place| place.distance(middle)).collect();
         let limit = quantile(&distances, NEAR).unwrap_or(0.0);
-        let seen = |n: &usize| self.sights[n * self.frames..(n + 1) * self.frames].iter().any(|sight| sight.visible);
-        (0..places.len()).filter(|&n| distances[n] <= limit).filter(seen).collect()
+        let seen = |n: &usize| {
+            self.sights[n * self.frames..(n + 1) * self.frames]
+                .iter()
+                .any(|sight| sight.visible)
+        };
+        (0..places.len())
+            .filter(|&n| distances[n] <= limit)
+            .filter(seen)
+            .collect()
     }
 
     fn only(&self, kept: &[usize]) -> Self {
@@ -98,7 +109,10 @@ impl Followed {
         Self {
             canonical: self.canonical,
             frames: self.frames,
-            positions_m: kept.iter().flat_map(|n| self.positions_m[rows(n)].iter().copied()).collect(),
+            positions_m: kept
+                .iter()
+                .flat_map(|n| self.positions_m[rows(n)].iter().copied())
+                .collect(),
             sights: kept.iter().flat_map(|n| self.sights[rows(n)].iter().copied()).collect(),
             colours: kept.iter().map(|&n| self.colours[n]).collect(),
         }
@@ -171,13 +185,18 @@ impl Followed {
         let rows = n * self.frames..(n + 1) * self.frames;
         let places = filled(&self.positions_m[rows.clone()], &self.sights[rows]);
         let steps = places.windows(2).map(|pair| pair[1] - pair[0]);
-        steps.flat_map(|step| (step / (step.length() + 1e-5)).as_vec3().to_array()).collect()
+        steps
+            .flat_map(|step| (step / (step.length() + 1e-5)).as_vec3().to_array())
+            .collect()
     }
 
     /// Motion of a cluster from the canonical frame to every frame.
     fn rigid(&self, members: &[usize]) -> Vec<(DMat3, DVec3)> {
         let of = |frame: usize| -> Vec<DVec3> {
-            members.iter().map(|n| self.positions_m[n * self.frames + frame]).collect()
+            members
+                .iter()
+                .map(|n| self.positions_m[n * self.frames + frame])
+                .collect()
         };
         let sights = |frame: usize| members.iter().map(move |n| self.sights[n * self.frames + frame]);
         let points: Vec<Vec<DVec3>> = (0..self.frames).map(of).collect();
@@ -195,7 +214,11 @@ impl Followed {
                 .map(|((a, b), sure)| a * b * sure)
                 .collect();
             let enough = pair.iter().sum::<f64>() >= LEAST_WEIGHT * self.frames as f64;
-            let found = if enough { rigid_motion(&points[canonical], &points[frame], &pair) } else { None };
+            let found = if enough {
+                rigid_motion(&points[canonical], &points[frame], &pair)
+            } else {
+                None
+            };
             motions[frame] = found.unwrap_or(motions[before]);
             before = frame;
         }
@@ -220,9 +243,7 @@ fn filled(places: &[DVec3], sights: &[Sight]) -> Vec<DVec3> {
         let after = seen.partition_point(|&known| known < frame);
         match (after.checked_sub(1).map(|before| seen[before]), seen.get(after)) {
             (_, Some(&next)) if next == frame => places[frame],
-            (Some(last), Some(&next)) => {
-                places[last].lerp(places[next], (frame - last) as f64 / (next - last) as f64)
-            }
+            (Some(last), Some(&next)) => places[last].lerp(places[next], (frame - last) as f64 / (next - last) as f64),
             (Some(last), None) => places[last],
             (None, Some(&next)) => places[next],
             (None, None) => places[frame],
@@ -281,7 +302,10 @@ mod tests {
         let found = followed.rigid(&(0..60).collect::<Vec<_>>());
         for (frame, (turn, shift)) in found.iter().enumerate() {
             let (expected, to) = at(frame.max(1));
-            assert!(turn.abs_diff_eq(expected, 1e-9) && shift.abs_diff_eq(to, 1e-9), "{frame}");
+            assert!(
+                turn.abs_diff_eq(expected, 1e-9) && shift.abs_diff_eq(to, 1e-9),
+                "{frame}"
+            );
         }
     }
 }

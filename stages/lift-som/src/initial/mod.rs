@@ -36,7 +36,10 @@ pub(crate) mod purpose {
 /// Points with colours become Gaussians of one opacity, as large as their neighbours are far.
 fn cloud(points: &[glam::DVec3], colours: &[[f32; 3]], quats: Vec<f32>) -> Cloud {
     let distances = rogs_optimise::neighbours::mean_distances(points, NEIGHBOURS);
-    let logs: Vec<f64> = distances.iter().map(|&distance| libm::log(distance.max(1e-9))).collect();
+    let logs: Vec<f64> = distances
+        .iter()
+        .map(|&distance| libm::log(distance.max(1e-9)))
+        .collect();
     let limit = |share: f64| rogs_optimise::statistics::quantile(&logs, share).unwrap_or(0.0);
     let [least, most] = SIZES.map(limit);
     Cloud {

@@ -66,7 +66,9 @@ fn pixels() -> impl Iterator<Item = (usize, usize)> {
 
 /// Exact depth of a camera at a frame.
 fn depth(camera: usize, frame: usize) -> Vec<f32> {
-    pixels().map(|(row, column)| hit(camera, frame, row, column).1 as f32).collect()
+    pixels()
+        .map(|(row, column)| hit(camera, frame, row, column).1 as f32)
+        .collect()
 }
 
 pub(crate) fn clip() -> (Clip, RobotMaps) {
@@ -127,7 +129,9 @@ pub(crate) fn clip() -> (Clip, RobotMaps) {
         rollout: None,
     };
     let map = |camera: usize, frame: usize| {
-        let hits: Vec<bool> = pixels().map(|(row, column)| hit(camera, frame, row, column).0).collect();
+        let hits: Vec<bool> = pixels()
+            .map(|(row, column)| hit(camera, frame, row, column).0)
+            .collect();
         RobotMap {
             camera: CameraIndex(camera as u32),
             frame: FrameIndex(frame as u32),
@@ -140,12 +144,16 @@ pub(crate) fn clip() -> (Clip, RobotMaps) {
         clip_id: "clip".parse().unwrap(),
         link_names: vec!["base".into()],
         base_from_link: vec![RigidPose::IDENTITY; FRAMES],
-        base_from_camera: (0..CAMERAS.len()).flat_map(|camera| vec![pose(camera); FRAMES]).collect(),
+        base_from_camera: (0..CAMERAS.len())
+            .flat_map(|camera| vec![pose(camera); FRAMES])
+            .collect(),
         recon_from_base: RigidPose::IDENTITY,
         tool_m: vec![0.0; 3 * FRAMES],
         height: HEIGHT as u32,
         width: WIDTH as u32,
-        maps: (0..CAMERAS.len()).flat_map(|camera| frames().map(move |frame| map(camera, frame))).collect(),
+        maps: (0..CAMERAS.len())
+            .flat_map(|camera| frames().map(move |frame| map(camera, frame)))
+            .collect(),
     };
     (clip, robot)
 }

@@ -133,7 +133,11 @@ impl OutsideField {
                 base_from_field: Pose::IDENTITY.into(),
             })
         };
-        let parts = field.cameras.into_iter().map(part).collect::<Result<_, OutsideError>>()?;
+        let parts = field
+            .cameras
+            .into_iter()
+            .map(part)
+            .collect::<Result<_, OutsideError>>()?;
         Ok(Self { parts, fps })
     }
 
