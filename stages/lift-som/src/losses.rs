@@ -559,8 +559,13 @@ mod tests {
         };
         let observed = observed(&params);
         let (mut scene, followed) = initial::scene(&observed, &params, 0).unwrap();
+        // The plate moves as a whole: it has one base. A second one gives the mixture something to choose.
+        assert_eq!(scene.bases.len(), 1);
+        scene.coefficients = scene.coefficients.iter().flat_map(|&own| [own, 0.5]).collect();
+        scene.bases.rotations = [scene.bases.rotations.clone(), scene.bases.rotations].concat();
+        scene.bases.translations = [scene.bases.translations.clone(), scene.bases.translations].concat();
         // Something to be wrong about: the exact start has errors of zero, where an absolute value has no gradient.
-        for (array, size) in [(0, 0.02), (6, 0.02), (11, 0.03), (12, 0.02)] {
+        for (array, size) in [(0, 0.02), (2, 0.3), (6, 0.02), (8, 0.3), (11, 0.03), (12, 0.02)] {
             for (k, value) in scene.arrays_mut()[array].iter_mut().enumerate() {
                 *value += size * libm::sinf(1.7 * k as f32);
             }

@@ -17,9 +17,10 @@ pub(crate) const WIDTH: usize = 40;
 /// Focal length and principal point, pixels.
 const FOCAL: f64 = 30.0;
 const CENTRE: [f64; 2] = [20.0, 13.0];
-/// Depth of the plate and of the wall, metres.
+/// Depth of the plate and of the wall, metres; the wall recedes to the right, so that its disparities differ.
 const PLATE_M: f64 = 1.0;
 const WALL_M: f64 = 2.0;
+const WALL_SLOPE: f64 = 0.4;
 /// Half the sides of the plate, metres.
 const HALF_M: [f64; 2] = [0.28, 0.32];
 /// The plate's step from frame to frame along x, metres.
@@ -41,7 +42,8 @@ fn hit(camera: usize, frame: usize, row: usize, column: usize) -> (bool, f64, [f
     if own[0].abs() < HALF_M[0] && own[1].abs() < HALF_M[1] {
         (true, PLATE_M, own)
     } else {
-        (false, WALL_M, at(WALL_M))
+        let depth = (WALL_M + WALL_SLOPE * CAMERAS[camera].1) / (1.0 - WALL_SLOPE * ray[0]);
+        (false, depth, at(depth))
     }
 }
 
@@ -171,7 +173,7 @@ pub(crate) fn sidecars(folder: &Path) {
         std::fs::write(folder.join("unidepth.npy"), npy_bytes(&shape, &metric)).unwrap();
         let relative: Vec<u16> = (0..FRAMES)
             .flat_map(|frame| depth(camera, frame))
-            .map(|depth| ((1.0 / depth - 0.5) / 0.5 * 65_535.0).round() as u16)
+            .map(|depth| ((1.0 / depth - 0.3) / 0.8 * 65_535.0).round() as u16)
             .collect();
         std::fs::write(folder.join("depth-anything.npy"), npy_bytes(&shape, &relative)).unwrap();
         let tracks = |query: usize| {
