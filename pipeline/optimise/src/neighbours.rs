@@ -35,13 +35,13 @@ fn mean_distance(points: &[DVec3], order: &[u32], place: usize, count: usize) ->
         let lower = gap(below.checked_sub(1));
         let upper = gap((above < order.len()).then_some(above));
         let next = if lower <= upper {
-            if !(lower < limit) {
+            if lower >= limit {
                 break;
             }
             below -= 1;
             below
         } else {
-            if !(upper < limit) {
+            if upper >= limit {
                 break;
             }
             above += 1;

@@ -516,7 +516,7 @@ stages! {
             Input::of("refinement", Provider::Stage(StageId::Refine)),
             Input::of("fitted", Provider::Stage(StageId::Fit)),
             Input::of("polynomial", Provider::Stage(StageId::Lift4dgt)),
-            Input::of("motion_bases", Provider::Stage(StageId::LiftSom)),
+            Input::of("motion-bases", Provider::Stage(StageId::LiftSom)),
             Input::of("predictions", Provider::Predictions),
             Input::of("lpips", Provider::Weights(WeightsRole::Lpips)),
         ],
@@ -525,19 +525,19 @@ stages! {
         outputs: &[
             Output {
                 method: "stage1",
-                skips: &["refinement", "fitted", "polynomial", "motion_bases", "predictions"],
+                skips: &["refinement", "fitted", "polynomial", "motion-bases", "predictions"],
                 // The field after some updates is a row of the refined field alone.
                 unless: Some("update"),
                 ..Output::new("score-1", "scores-1.r4c")
             },
             Output {
                 method: "stage1+2",
-                skips: &["fitted", "polynomial", "motion_bases", "predictions"],
+                skips: &["fitted", "polynomial", "motion-bases", "predictions"],
                 ..Output::new("score-2", "scores-2.r4c")
             },
             Output {
                 method: "fit",
-                skips: &["field", "refinement", "polynomial", "motion_bases", "predictions"],
+                skips: &["field", "refinement", "polynomial", "motion-bases", "predictions"],
                 // The field after some updates is a row of the refined field alone.
                 unless: Some("update"),
                 with: Some(StageId::Fit),
@@ -552,7 +552,7 @@ stages! {
 pub static OUTSIDE: Outside = Outside {
     stage: StageId::Score,
     output: Output {
-        skips: &["field", "refinement", "fitted", "polynomial", "motion_bases"],
+        skips: &["field", "refinement", "fitted", "polynomial", "motion-bases"],
         ..Output::new("score", "scores-1.r4c")
     },
     options: "prediction",
@@ -572,7 +572,7 @@ pub static BASELINES: [BaselineSpec; 3] = [
         weights: &[(WeightsRole::Lift, WeightsRole::Movies)],
         score: StageId::Score,
         output: Output {
-            skips: &["refinement", "fitted", "polynomial", "motion_bases", "predictions"],
+            skips: &["refinement", "fitted", "polynomial", "motion-bases", "predictions"],
             ..Output::new("score", "scores-1.r4c")
         },
     },
@@ -587,7 +587,7 @@ pub static BASELINES: [BaselineSpec; 3] = [
         ],
         score: StageId::Score,
         output: Output {
-            skips: &["field", "refinement", "fitted", "motion_bases", "predictions"],
+            skips: &["field", "refinement", "fitted", "motion-bases", "predictions"],
             ..Output::new("score", "scores-1.r4c")
         },
     },

@@ -46,7 +46,7 @@ pub fn read(folder: &Path, clip: &str, camera: &str, frames: usize, size: [usize
     let metric = at(METRIC);
     let metric_m = metric.maps(frames, size)?;
     for (frame, map) in metric_m.iter().enumerate() {
-        if let Some(pixel) = map.iter().position(|depth| !(*depth > 0.0)) {
+        if let Some(pixel) = map.iter().position(|depth| *depth <= 0.0) {
             return Err(metric.pixel(frame, pixel, size[1], map[pixel], "depths above 0, metres"));
         }
     }
@@ -156,7 +156,10 @@ impl Place<'_> {
                     )));
                 }
                 let on = |place: f32, length: usize| {
-                    place >= 0.0 && place < length as f32 && place.fract() == 0.0 && place as u32 % STRIDE == 0
+                    place >= 0.0
+                        && place < length as f32
+                        && place.fract() == 0.0
+                        && (place as u32).is_multiple_of(STRIDE)
                 };
                 let [x, y] = [point[4 * query], point[4 * query + 1]];
                 if !(on(x, width) && on(y, height)) {

@@ -103,7 +103,7 @@ impl Stage for Score {
             InputDescription::optional("refinement", Refinement::SCHEMA.name),
             InputDescription::optional("fitted", Field::SCHEMA.name),
             InputDescription::optional("polynomial", PolynomialField::SCHEMA.name),
-            InputDescription::optional("motion_bases", MotionBasisField::SCHEMA.name),
+            InputDescription::optional("motion-bases", MotionBasisField::SCHEMA.name),
             InputDescription::optional("predictions", "folder"),
             InputDescription::optional("lpips", "file"),
         ]
@@ -140,7 +140,7 @@ impl Stage for Score {
         match self.params.prediction {
             Some(prediction) => self.run_outside(context, &clip, &robot, prediction),
             None if context.optional_input("polynomial").is_some() => self.run_polynomial(context, &clip, &robot),
-            None if context.optional_input("motion_bases").is_some() => self.run_motion_bases(context, &clip, &robot),
+            None if context.optional_input("motion-bases").is_some() => self.run_motion_bases(context, &clip, &robot),
             None => self.run_own(context, &clip, &robot),
         }
     }
@@ -200,7 +200,7 @@ impl Score {
 
     /// Scores the field that Shape of Motion made here.
     fn run_motion_bases(&self, context: &mut Context<'_>, clip: &Clip, robot: &RobotMaps) -> StageResult<()> {
-        let field: MotionBasisField = context.timed("read_field", |context| context.read("motion_bases"))?;
+        let field: MotionBasisField = context.timed("read_field", |context| context.read("motion-bases"))?;
         if field.clip_id != clip.clip_id {
             let message = format!("the field is of clip `{}`, not of `{}`", field.clip_id, clip.clip_id);
             return Err(StageError::bad_input(message));

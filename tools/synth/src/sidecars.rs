@@ -377,7 +377,12 @@ mod tests {
             for track in tracks.into_floats().chunks_exact(20) {
                 let place = |frame: usize| [track[4 * frame], track[4 * frame + 1]];
                 let [x, y] = place(query);
-                assert!(x.fract() == 0.0 && y.fract() == 0.0 && x as usize % 4 == 0 && y as usize % 4 == 0);
+                assert!(
+                    x.fract() == 0.0
+                        && y.fract() == 0.0
+                        && (x as usize).is_multiple_of(4)
+                        && (y as usize).is_multiple_of(4)
+                );
                 assert_eq!([track[4 * query + 2], track[4 * query + 3]], [-8.0, -8.0]);
                 for target in 0..5 {
                     if track[4 * target + 2] > 0.0 {
