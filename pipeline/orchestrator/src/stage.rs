@@ -470,7 +470,7 @@ stages! {
             Input::of("references", Provider::Stage(StageId::References)),
             Input::of("sidecars", Provider::Sidecars),
         ],
-        figures: figures(1000.0, 6.0, 1200.0),
+        figures: figures(1150.0, 6.0, 400.0),
         outputs: &[Output::new("lift-som", "field-som.r4c")],
         asked: true,
         ..StageSpec::PLAIN

@@ -5,7 +5,6 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr)]
 
 #[path = "../../../tests/support/bench.rs"]
-#[allow(dead_code)]
 mod bench;
 
 use std::path::Path;
