@@ -16,6 +16,8 @@ pub(crate) use foreground::Followed;
 const OPACITY: f64 = 0.7;
 /// Neighbours that give a Gaussian its size.
 const NEIGHBOURS: usize = 3;
+/// Points that coincide, as exact tracks of what stands still do, are taken to be this far apart, metres.
+const LEAST_M: f64 = 1e-3;
 /// Sizes are kept between these quantiles of all.
 const SIZES: [f64; 2] = [0.05, 0.95];
 
@@ -38,7 +40,7 @@ fn cloud(points: &[glam::DVec3], colours: &[[f32; 3]], quats: Vec<f32>) -> Cloud
     let distances = rogs_optimise::neighbours::mean_distances(points, NEIGHBOURS);
     let logs: Vec<f64> = distances
         .iter()
-        .map(|&distance| libm::log(distance.max(1e-9)))
+        .map(|&distance| libm::log(distance.max(LEAST_M)))
         .collect();
     let limit = |share: f64| rogs_optimise::statistics::quantile(&logs, share).unwrap_or(0.0);
     let [least, most] = SIZES.map(limit);
