@@ -174,7 +174,7 @@ fn shape_of_motion_needs_sidecars_and_what_fails_is_counted() {
     let (_, main) = workspace.rogs_json(&["table", "run", "--table", "main", "--json"]);
     assert_eq!(row(&main, "som")["clips"], 1, "{main:#}");
     assert_eq!(row(&main, "stage1")["clips"], 2, "{main:#}");
-    assert!(notes(&main).contains("som"), "{main:#}");
+    assert!(notes(&main).contains("SoM: 1 of 2 clips"), "{main:#}");
     // Once they are there, that clip alone is made.
     std::fs::rename(away, workspace.path("data/sidecars").join(&clips[1])).unwrap();
     let (code, made) = workspace.rogs_json(&["run", "som.toml", "--no-report", "--json"]);
