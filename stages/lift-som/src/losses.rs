@@ -525,7 +525,7 @@ mod tests {
         Observed::new(&clip, &robot, rogs_schemas::CameraIndex(0), own, params).unwrap()
     }
 
-    /// Compares the gradient along its own direction, array by array, with central differences of the value: of three sizes of
+    /// Compares the gradient along its own direction, array by array, with central differences of the value: of five sizes of
     /// steps one must agree. What is less opaque than 1/255 is not drawn, so a step may lead across a jump.
     fn check(scene: &Scene, steps: [f32; 13], tolerance: f64, value: impl Fn(&Scene) -> (f64, Scene)) {
         let (_, gradient) = value(scene);
@@ -543,7 +543,7 @@ mod tests {
                 };
                 (at(step) - at(-step)) / (2.0 * f64::from(step))
             };
-            let found = [1.0, 0.3, 0.1].map(|share| along(share * step));
+            let found = [1.0, 0.3, 0.1, 0.03, 0.01].map(|share| along(share * step));
             println!("array {index}: {found:.5?}, the gradient says {length:.5}");
             let agrees = |found: &f64| (found - length).abs() < tolerance * length;
             assert!(found.iter().any(agrees), "array {index}: {found:?} {length}");
