@@ -5,7 +5,7 @@ use rogs_agreement::audit::Mount;
 use rogs_geometry::Pinhole;
 
 use crate::correction::{Correction, Prior, UNKNOWNS, Vector};
-use crate::edges::{Level, Look};
+use crate::edges::{Edge, Level, Look};
 use crate::epipolar::Pairs;
 use crate::outline::Mixing;
 use crate::solve::{Solved, minimise, weighted_median};
@@ -158,25 +158,17 @@ fn refine_on_hand(takes: &[Take<'_>], full: &Level<'_>, given: &Look, prior: &Pr
             why: Why::HardlyVisible,
         });
     }
-    let free = prior.sigmas().map(|sigma| sigma.is_some());
-    let mut best = Solved {
+    let path = Path {
+        pairs: &pairs,
+        free: prior.sigmas().map(|sigma| sigma.is_some()),
+        share: 1.0 / given.visible.max(1) as f64,
+    };
+    let start = Solved {
         correction: Correction::NONE,
         covariance: [[0.0; UNKNOWNS]; UNKNOWNS],
     };
-    for range in [16.0, 12.0, 8.0, 6.0, 4.0, 4.0] {
-        let Look { edges, visible, .. } = full.look(&best.correction, &rogs_agreement::Settings::of_range(range))?;
-        if edges.len() + pairs.len() < FEWEST_EDGES {
-            return Err(Error::CannotTell { why: Why::TooFewEdges });
-        }
-        let share = 1.0 / visible.max(1) as f64;
-        if let Some(solved) = minimise(best.correction, prior, range / 3.0, 12, |correction| {
-            let mut rows = full.rows(&edges, correction, share)?;
-            rows.extend(pairs.rows(correction, &free));
-            Some(rows)
-        }) {
-            best = solved;
-        }
-    }
+    let near = rounds(full, &[16.0, 12.0, 8.0, 6.0, 4.0], prior, start, Some(&path))?;
+    let best = outlines(full, prior, near, Some(&path))?;
     let found = full.look(&best.correction, &judging(full))?;
     let epipolar = |correction: &Correction| {
         let distances = pairs.distances(correction);
@@ -189,6 +181,34 @@ fn refine_on_hand(takes: &[Take<'_>], full: &Level<'_>, given: &Look, prior: &Pr
     refined.after.epipolar_px = after;
     refined.matches = pairs.len();
     Ok(refined)
+}
+
+/// What counts beside the edges of a camera on the hand.
+struct Path<'a> {
+    /// Points along its path.
+    pairs: &'a Pairs,
+    /// Which unknowns are free.
+    free: [bool; UNKNOWNS],
+    /// Share of their weight with which edges count.
+    share: f64,
+}
+
+/// Solves for these edges, and for what counts beside them.
+fn solved(
+    level: &Level<'_>,
+    edges: &[Edge],
+    range: f64,
+    prior: &Prior,
+    start: Correction,
+    path: Option<&Path<'_>>,
+) -> Option<Solved> {
+    minimise(start, prior, range / 3.0, 12, |correction| {
+        let mut rows = level.rows(edges, correction, path.map_or(1.0, |path| path.share))?;
+        if let Some(path) = path {
+            rows.extend(path.pairs.rows(correction, &path.free));
+        }
+        Some(rows)
+    })
 }
 
 /// Whether the takes are of one camera.
@@ -246,17 +266,17 @@ pub(crate) fn converge(
         covariance: [[0.0; UNKNOWNS]; UNKNOWNS],
     };
     let small = Level::new(takes, &few, coarse);
-    best = rounds(&small, &[24.0, 24.0, 16.0, 12.0, 8.0], &pose, best)?;
+    best = rounds(&small, &[24.0, 24.0, 16.0, 12.0, 8.0], &pose, best, None)?;
     if middle < coarse {
         let level = Level::new(takes, &few, middle);
-        best = rounds(&level, &[12.0, 8.0], &pose, best)?;
+        best = rounds(&level, &[12.0, 8.0], &pose, best, None)?;
     }
-    best = rounds(full, &[12.0, 8.0, 6.0, 4.0], prior, best)?;
-    outlines(full, prior, best)
+    best = rounds(full, &[12.0, 8.0, 6.0, 4.0], prior, best, None)?;
+    outlines(full, prior, best, None)
 }
 
 /// Solves by the silhouettes alone, to a small part of a pixel.
-fn outlines(level: &Level<'_>, prior: &Prior, start: Solved) -> Result<Solved> {
+fn outlines(level: &Level<'_>, prior: &Prior, start: Solved, path: Option<&Path<'_>>) -> Result<Solved> {
     let mut best = start;
     let mut mixing = Mixing::Light;
     for (round, range) in [3.0, 2.0, 1.5, 1.0, 1.0].into_iter().enumerate() {
@@ -266,11 +286,9 @@ fn outlines(level: &Level<'_>, prior: &Prior, start: Solved) -> Result<Solved> {
         let edges = level.outline(&best.correction, mixing, range)?;
         if edges.len() < FEWEST_EDGES {
             // Too small or too blurred: the edges have to do.
-            return rounds(level, &[4.0, 4.0], prior, best);
+            return rounds(level, &[4.0, 4.0], prior, best, path);
         }
-        if let Some(solved) = minimise(best.correction, prior, range / 3.0, 12, |correction| {
-            level.rows(&edges, correction, 1.0)
-        }) {
+        if let Some(solved) = solved(level, &edges, range, prior, best.correction, path) {
             best = solved;
         }
     }
@@ -283,21 +301,24 @@ pub(crate) fn near(level: &Level<'_>, prior: &Prior, start: Correction) -> Resul
         correction: start,
         covariance: [[0.0; UNKNOWNS]; UNKNOWNS],
     };
-    Ok(rounds(level, &[16.0, 12.0, 12.0, 8.0, 6.0], prior, start)?.correction)
+    Ok(rounds(level, &[16.0, 12.0, 12.0, 8.0, 6.0], prior, start, None)?.correction)
 }
 
-fn rounds(level: &Level<'_>, ranges: &[f64], prior: &Prior, start: Solved) -> Result<Solved> {
+fn rounds(
+    level: &Level<'_>,
+    ranges: &[f64],
+    prior: &Prior,
+    start: Solved,
+    path: Option<&Path<'_>>,
+) -> Result<Solved> {
     let mut best = start;
     for &range in ranges {
         let settings = rogs_agreement::Settings::of_range(range);
         let Look { edges, .. } = level.look(&best.correction, &settings)?;
-        if edges.len() < FEWEST_EDGES {
+        if edges.len() + path.map_or(0, |path| path.pairs.len()) < FEWEST_EDGES {
             return Err(Error::CannotTell { why: Why::TooFewEdges });
         }
-        let widest = range / 3.0;
-        if let Some(solved) = minimise(best.correction, prior, widest, 12, |correction| {
-            level.rows(&edges, correction, 1.0)
-        }) {
+        if let Some(solved) = solved(level, &edges, range, prior, best.correction, path) {
             best = solved;
         }
     }

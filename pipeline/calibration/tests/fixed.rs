@@ -12,7 +12,7 @@ use rogs_agreement::Why;
 use rogs_agreement::audit::Mount;
 use rogs_calibration::{Error, Prior, Refined, Settings, Take, refine, search};
 use rogs_geometry::Pose;
-use starts::{apart, off, summary, three_off};
+use starts::{Frames, apart, off, summary, three_off};
 
 fn count(default: usize) -> usize {
     std::env::var("ROGS_CALIBRATION_CAMERAS").map_or(default, |count| count.parse().unwrap())
@@ -20,7 +20,7 @@ fn count(default: usize) -> usize {
 
 #[test]
 fn cameras_three_centimetres_and_degrees_off_come_near() {
-    let ends = three_off(&Machine::new(), 0..count(4));
+    let ends = three_off(&Machine::new(), 0..count(4), Frames::Clip);
     println!("{}", summary(&ends));
     let good = ends.iter().filter(|end| end.within_gate()).count();
     assert!(10 * good >= 7 * ends.len(), "{good} of {}", ends.len());
@@ -36,7 +36,7 @@ fn cameras_three_centimetres_and_degrees_off_come_near() {
 #[ignore = "not reached: 17 of 20 cameras within 3 mm and 0.3 degrees where 95 % are wanted (docs/calibration.md)"]
 #[test]
 fn cameras_three_centimetres_and_degrees_off_are_found() {
-    let ends = three_off(&Machine::new(), 0..count(100));
+    let ends = three_off(&Machine::new(), 0..count(100), Frames::Whole);
     println!("{}", summary(&ends));
     let good = ends.iter().filter(|end| end.within_gate()).count();
     assert!(20 * good >= 19 * ends.len(), "{good} of {}", ends.len());

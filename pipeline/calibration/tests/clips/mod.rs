@@ -1,6 +1,8 @@
 //! Clips of procedural episodes in memory.
 #![allow(dead_code, reason = "each test uses a part")]
 
+use std::ops::Range;
+
 use rogs_agreement::audit::{Filmed, Footage, Mount};
 use rogs_geometry::{Camera, Link, Pinhole, Pose};
 use rogs_synth::{ARM_JOINT_NAMES, Episode, SynthConfig, generate_episode};
@@ -29,15 +31,25 @@ impl Clip {
 
     /// The same with the states of `delay` frames later.
     pub(crate) fn delayed(machine: &Machine, seed: u64, delay: i64) -> Self {
+        let states = (FIRST as i64 + delay) as usize;
+        Self::filmed(machine, seed, FIRST..FIRST + FRAMES, states..states + FRAMES)
+    }
+
+    /// All frames of an episode.
+    pub(crate) fn whole(machine: &Machine, seed: u64) -> Self {
+        let frames = 0..SynthConfig::default().frames as usize;
+        Self::filmed(machine, seed, frames.clone(), frames)
+    }
+
+    fn filmed(machine: &Machine, seed: u64, frames: Range<usize>, states: Range<usize>) -> Self {
         let episode = generate_episode(&SynthConfig::default(), seed).unwrap();
         let mut images = vec![Vec::new(); 3];
-        for frame in FIRST..FIRST + FRAMES {
+        for frame in frames {
             for (camera, view) in episode.render_cameras(frame, &[0, 1, 2]).into_iter().enumerate() {
                 images[camera].push(view.rgb);
             }
         }
-        let states = (FIRST as i64 + delay) as usize;
-        let states = &episode.states[states..states + FRAMES];
+        let states = &episode.states[states];
         Self {
             images,
             lenses: (0..3).map(|camera| episode.cameras[camera].lens).collect(),

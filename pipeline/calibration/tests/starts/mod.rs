@@ -16,6 +16,15 @@ use crate::common::Machine;
 /// The gate: millimetres and degrees.
 pub(crate) const GATE: [f64; 2] = [3.0, 0.3];
 
+/// Which frames of an episode are looked at.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Frames {
+    /// All, as `rogs calibrate` does.
+    Whole,
+    /// The 17 of a clip.
+    Clip,
+}
+
 /// Where a camera ended.
 pub(crate) struct End {
     /// Distance from the truth, mm and degrees; infinite when it was given up.
@@ -48,11 +57,14 @@ pub(crate) fn apart(a: &Pose<Base, Camera>, b: &Pose<Base, Camera>) -> [f64; 2] 
 
 /// Cameras that start 3 cm and 3 degrees off, two an episode; a line of each is printed.
 #[allow(clippy::print_stdout)]
-pub(crate) fn three_off(machine: &Machine, numbers: Range<usize>) -> Vec<End> {
+pub(crate) fn three_off(machine: &Machine, numbers: Range<usize>, frames: Frames) -> Vec<End> {
     numbers
         .map(|number| {
             let (seed, index) = (500 + number as u64 / 2, 1 + number % 2);
-            let mut clip = Clip::of(machine, seed);
+            let mut clip = match frames {
+                Frames::Whole => Clip::whole(machine, seed),
+                Frames::Clip => Clip::of(machine, seed),
+            };
             let Mount::Fixed(truth) = clip.mounts[index] else {
                 unreachable!()
             };
