@@ -31,6 +31,8 @@ pub(crate) struct End {
     pub(crate) off: [f64; 2],
     /// Errors of turn and shift over their standard deviations.
     pub(crate) standardised: [f64; 6],
+    /// Its own standard deviations, mm and degrees.
+    pub(crate) sigma: [f64; 2],
     /// How long it took, seconds.
     pub(crate) seconds: f64,
 }
@@ -38,6 +40,11 @@ pub(crate) struct End {
 impl End {
     pub(crate) fn within_gate(&self) -> bool {
         self.off[0] < GATE[0] && self.off[1] < GATE[1]
+    }
+
+    /// Whether the images hold the pose so closely by its own covariance.
+    pub(crate) fn held(&self) -> bool {
+        self.sigma[0] < GATE[0] && self.sigma[1] < GATE[1]
     }
 }
 
@@ -84,6 +91,7 @@ pub(crate) fn three_off(machine: &Machine, numbers: Range<usize>, frames: Frames
                     return End {
                         off: [f64::INFINITY; 2],
                         standardised: [0.0; 6],
+                        sigma: [f64::INFINITY; 2],
                         seconds,
                     };
                 }
@@ -99,6 +107,10 @@ pub(crate) fn three_off(machine: &Machine, numbers: Range<usize>, frames: Frames
                     let value = if i < 3 { turn[i] } else { left.translation[i - 3] };
                     value / refined.sigma[i]
                 }),
+                sigma: [
+                    1000.0 * DVec3::from_slice(&refined.sigma[3..6]).length(),
+                    DVec3::from_slice(&refined.sigma[..3]).length().to_degrees(),
+                ],
                 seconds,
             };
             println!(
@@ -106,8 +118,8 @@ pub(crate) fn three_off(machine: &Machine, numbers: Range<usize>, frames: Frames
                  {seconds:.1} s",
                 end.off[0],
                 end.off[1],
-                1000.0 * DVec3::from_slice(&refined.sigma[3..6]).length(),
-                DVec3::from_slice(&refined.sigma[..3]).length().to_degrees(),
+                end.sigma[0],
+                end.sigma[1],
                 end.standardised.map(|z| format!("{z:.1}")).join(" "),
                 refined.before.edge_px,
                 refined.after.edge_px,
@@ -129,6 +141,13 @@ pub(crate) fn summary(ends: &[End]) -> String {
         values[((count - 1) as f64 * share).round() as usize]
     };
     let mut text = format!("{good} of {count} within {} mm and {} degrees", GATE[0], GATE[1]);
+    let held = || ends.iter().filter(|end| end.held());
+    let _ = write!(
+        text,
+        "; {} of the {} whose own standard deviations are",
+        held().filter(|end| end.within_gate()).count(),
+        held().count()
+    );
     for share in [0.5, 0.9, 0.95, 1.0] {
         let (mm, degrees) = (quantile(share, &|end| end.off[0]), quantile(share, &|end| end.off[1]));
         let _ = write!(

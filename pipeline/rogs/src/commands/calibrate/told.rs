@@ -98,6 +98,11 @@ impl Numbers {
     fn turn(&self) -> f64 {
         length(self.turn_degrees)
     }
+
+    /// As standard deviations: whether the pose is known as well as a calibrated camera's should be.
+    fn is_close(&self) -> bool {
+        self.shift() <= 3.0 && self.turn() <= 0.3
+    }
 }
 
 fn length(values: [f64; 3]) -> f64 {
@@ -196,6 +201,15 @@ impl Told {
                 lines.push(format!(
                     "{}: pose searched, overlay {overlay:.2}, {other}",
                     camera.camera
+                ));
+            }
+            if let Some(sigma) = camera.sigma.as_ref().filter(|sigma| !sigma.is_close()) {
+                lines.push(format!(
+                    "{}: these images fix it to {:.1} mm and {:.2} degrees only; name more episodes (--episode), in which \
+                     the robot goes further",
+                    camera.camera,
+                    sigma.shift(),
+                    sigma.turn()
                 ));
             }
             if let Some(path) = &camera.picture {
