@@ -25,6 +25,8 @@ const MOST_POINTS: usize = 150;
 const STEP_M: f64 = 0.02;
 /// Pixels around the robot that are left out.
 const RING: usize = 4;
+/// Points that stay in their place while the camera goes are the hand's, or held by it, or tell nothing, pixels.
+const LEAST_MOTION_PX: f64 = 1.0;
 /// Groups of matches, one a pair, are told by this bit from those of edges.
 const GROUP: u32 = 1 << 31;
 /// Standard deviation of a tracked place, pixels.
@@ -237,6 +239,7 @@ impl Context<'_> {
                 .iter()
                 .zip(&now)
                 .filter_map(|(&from, to)| Some([pixel(from), pixel((*to)?)]))
+                .filter(|[from, to]| (*to - *from).length() >= LEAST_MOTION_PX)
                 .collect();
             if matches.len() < 8 {
                 break;
