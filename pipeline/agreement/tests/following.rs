@@ -91,7 +91,7 @@ fn lag_and_drift_are_what_the_rollout_was_made_with() {
                 // Only the first external camera drifts.
                 let drift_m = if camera == 1 { drift_m } else { 0.0 };
                 let drift = found.drift_m.unwrap();
-                let wrong = (drift[0] - drift_m).abs() > 0.2 * drift_m + 0.004;
+                let wrong = (drift[0] - drift_m).abs() > 0.2 * drift_m + 0.006;
                 assert!(!wrong, "seed {seed}, camera {camera}, {name}: drift {drift:?}");
                 let Some([found_lag, sigma]) = found.lag_frames else {
                     continue;
@@ -117,15 +117,24 @@ fn larger_distortions_are_found_to_be_larger() {
     let found = drifts.map(|distortions| followed(&machine, &episode, 1, &distortions));
     for (distortions, (found, offset_px)) in drifts.iter().zip(&found) {
         let [drift, sigma] = found.drift_m.unwrap();
-        println!("drift {} m: {drift:.4} +- {sigma:.4} m, median offset {offset_px:.2} px", distortions.drift_m);
-        assert!((drift - distortions.drift_m).abs() < 0.2 * distortions.drift_m + 0.004, "{drift}");
+        println!(
+            "drift {} m: {drift:.4} +- {sigma:.4} m, median offset {offset_px:.2} px",
+            distortions.drift_m
+        );
+        assert!(
+            (drift - distortions.drift_m).abs() < 0.2 * distortions.drift_m + 0.004,
+            "{drift}"
+        );
     }
     assert!(found.is_sorted_by(|(a, px_a), (b, px_b)| a.drift_m.unwrap()[0] < b.drift_m.unwrap()[0] && px_a < px_b));
     let lags = [0, 1, 2, 4].map(|lag_frames| Distortions { lag_frames, ..none });
     let found = lags.map(|distortions| followed(&machine, &episode, 2, &distortions));
     for (distortions, (found, offset_px)) in lags.iter().zip(&found) {
         let [lag, sigma] = found.lag_frames.unwrap();
-        println!("lag {}: {lag:.2} +- {sigma:.2} frames, median offset {offset_px:.2} px", distortions.lag_frames);
+        println!(
+            "lag {}: {lag:.2} +- {sigma:.2} frames, median offset {offset_px:.2} px",
+            distortions.lag_frames
+        );
         assert!((lag - distortions.lag_frames as f64).abs() < 0.5, "{lag}");
     }
     assert!(found.is_sorted_by(|(_, px_a), (_, px_b)| px_a <= px_b));

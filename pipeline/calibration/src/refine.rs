@@ -93,7 +93,7 @@ pub fn refine(takes: &[Take<'_>], settings: &Settings) -> Result<Refined> {
         return Err(Error::CannotTell { why: Why::BlankImage });
     }
     if matches!(takes[0].filmed().mount, Mount::Hand { .. }) {
-        return refine_on_hand(takes, &full, &given, &settings.prior);
+        return refine_on_hand(takes, &frames, &full, &given, &settings.prior);
     }
     if 4 * given.visible < given.frames || given.visible < 2 {
         return Err(Error::CannotTell {
@@ -151,7 +151,13 @@ fn around(takes: &[Take<'_>], frames: &[(usize, usize)], prior: &Prior) -> Resul
 
 /// A camera on the hand: points of the scene along its path, and the edges of the gripper, which look the same in all
 /// images and so count as one image together.
-fn refine_on_hand(takes: &[Take<'_>], full: &Level<'_>, given: &Look, prior: &Prior) -> Result<Refined> {
+fn refine_on_hand(
+    takes: &[Take<'_>],
+    frames: &[(usize, usize)],
+    full: &Level<'_>,
+    given: &Look,
+    prior: &Prior,
+) -> Result<Refined> {
     let pairs = Pairs::new(takes, factor(&takes[0].filmed().lens, FINEST))?;
     if pairs.len() < FEWEST_MATCHES && 4 * given.visible < given.frames {
         return Err(Error::CannotTell {
@@ -163,13 +169,28 @@ fn refine_on_hand(takes: &[Take<'_>], full: &Level<'_>, given: &Look, prior: &Pr
         free: prior.sigmas().map(|sigma| sigma.is_some()),
         share: 1.0 / given.visible.max(1) as f64,
     };
-    let start = Solved {
-        correction: Correction::NONE,
-        covariance: [[0.0; UNKNOWNS]; UNKNOWNS],
+    let solve = |start: Correction| -> Result<(Solved, Look)> {
+        let start = Solved {
+            correction: start,
+            covariance: [[0.0; UNKNOWNS]; UNKNOWNS],
+        };
+        let near = rounds(full, &[16.0, 12.0, 8.0, 6.0, 4.0], prior, start, Some(&path))?;
+        let best = outlines(full, prior, near, Some(&path))?;
+        let found = full.look(&best.correction, &judging(full))?;
+        Ok((best, found))
     };
-    let near = rounds(full, &[16.0, 12.0, 8.0, 6.0, 4.0], prior, start, Some(&path))?;
-    let best = outlines(full, prior, near, Some(&path))?;
-    let found = full.look(&best.correction, &judging(full))?;
+    let (mut best, mut found) = solve(Correction::NONE)?;
+    if 4 * given.visible >= given.frames && found.overlay < FOUND {
+        for start in around(takes, frames, prior)? {
+            let (other, look) = solve(start)?;
+            if look.overlay > found.overlay {
+                (best, found) = (other, look);
+            }
+        }
+        if found.overlay < FOUND {
+            return Err(Error::NotFound { overlay: found.overlay });
+        }
+    }
     let epipolar = |correction: &Correction| {
         let distances = pairs.distances(correction);
         let mut sizes: Vec<(f64, f64)> = distances.into_iter().map(|distance| (distance.abs(), 1.0)).collect();
@@ -304,13 +325,7 @@ pub(crate) fn near(level: &Level<'_>, prior: &Prior, start: Correction) -> Resul
     Ok(rounds(level, &[16.0, 12.0, 12.0, 8.0, 6.0], prior, start, None)?.correction)
 }
 
-fn rounds(
-    level: &Level<'_>,
-    ranges: &[f64],
-    prior: &Prior,
-    start: Solved,
-    path: Option<&Path<'_>>,
-) -> Result<Solved> {
+fn rounds(level: &Level<'_>, ranges: &[f64], prior: &Prior, start: Solved, path: Option<&Path<'_>>) -> Result<Solved> {
     let mut best = start;
     for &range in ranges {
         let settings = rogs_agreement::Settings::of_range(range);

@@ -41,7 +41,14 @@ fn a_hand_eye_three_degrees_off_is_found_along_its_path() {
             footage: &footage,
             camera: 0,
         };
-        let refined = refine(&[take], &settings).unwrap();
+        let refined = match refine(&[take], &settings) {
+            Ok(refined) => refined,
+            Err(error) => {
+                println!("{number}: {error}");
+                turned.push(f64::INFINITY);
+                continue;
+            }
+        };
         let Mount::Hand {
             link_from_camera: found,
             ..
