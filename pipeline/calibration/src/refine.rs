@@ -22,6 +22,8 @@ const FEWEST_MATCHES: usize = 60;
 const SURE: f64 = 0.5;
 /// Images are looked at with no more columns than this.
 const FINEST: u32 = 640;
+/// Along the path of a hand's camera, points keep so near to their epipolar lines, pixels of 320 image columns.
+const ALONG_PX: f64 = 1.0;
 /// A refined camera that overlays less than this has not been found.
 const FOUND: f64 = 0.12;
 
@@ -179,23 +181,29 @@ fn refine_on_hand(
         let found = full.look(&best.correction, &judging(full))?;
         Ok((best, found))
     };
+    let epipolar = |correction: &Correction| {
+        let distances = pairs.distances(correction);
+        let mut sizes: Vec<(f64, f64)> = distances.into_iter().map(|distance| (distance.abs(), 1.0)).collect();
+        (!sizes.is_empty()).then(|| weighted_median(&mut sizes))
+    };
+    // Where the gripper does not lie on the images, points along the path alone can tell.
+    let keeps = ALONG_PX * f64::from(full.lens.width) / 320.0;
+    let lost = |solved: &Solved, look: &Look| {
+        let along = pairs.len() >= FEWEST_MATCHES && epipolar(&solved.correction).is_some_and(|px| px < keeps);
+        look.overlay < FOUND && !along
+    };
     let (mut best, mut found) = solve(Correction::NONE)?;
-    if 4 * given.visible >= given.frames && found.overlay < FOUND {
+    if lost(&best, &found) && 4 * given.visible >= given.frames {
         for start in around(takes, frames, prior)? {
             let (other, look) = solve(start)?;
             if look.overlay > found.overlay {
                 (best, found) = (other, look);
             }
         }
-        if found.overlay < FOUND {
-            return Err(Error::NotFound { overlay: found.overlay });
-        }
     }
-    let epipolar = |correction: &Correction| {
-        let distances = pairs.distances(correction);
-        let mut sizes: Vec<(f64, f64)> = distances.into_iter().map(|distance| (distance.abs(), 1.0)).collect();
-        (!sizes.is_empty()).then(|| weighted_median(&mut sizes))
-    };
+    if lost(&best, &found) {
+        return Err(Error::NotFound { overlay: found.overlay });
+    }
     let after = epipolar(&best.correction);
     let mut refined = summed_up(takes, best, given, &found);
     refined.before.epipolar_px = epipolar(&Correction::NONE);
