@@ -1,9 +1,65 @@
 //! Timing, memory and peers of benches.
 #![allow(dead_code, reason = "each bench uses a part")]
 
+use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::Path;
-use std::process::Command;
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::time::Instant;
+
+/// The processor that a benchmark runs on, with the vector instructions that decide which kernels it takes.
+pub(crate) fn processor() -> String {
+    let told = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let field = |name: &str| {
+        let line = told.lines().find(|line| line.starts_with(name))?;
+        Some(line.split_once(':')?.1.trim().to_owned())
+    };
+    let (name, flags) = (field("model name").unwrap_or_default(), field("flags").unwrap_or_default());
+    let has = |wanted: &&str| flags.split_whitespace().any(|flag| flag == *wanted);
+    let sets: Vec<&str> = ["avx2", "fma", "avx512f", "avx512_bf16", "amx_bf16"]
+        .into_iter()
+        .filter(has)
+        .collect();
+    let cores = std::thread::available_parallelism().map_or(0, usize::from);
+    format!("{name} ({}), {cores} cores", sets.join(" "))
+}
+
+/// A peer script that does a piece of work for every line and answers it with one, so that both sides take turns.
+pub(crate) struct Peer {
+    process: Child,
+    input: ChildStdin,
+    output: BufReader<ChildStdout>,
+}
+
+impl Peer {
+    /// Starts a script with the Python that `ROGS_PEER_PYTHON` names and tells it its job; `None` with the reason printed.
+    pub(crate) fn start(script: &str, job: &str) -> Option<Self> {
+        let Some(python) = std::env::var_os("ROGS_PEER_PYTHON") else {
+            println!("peers skipped: set ROGS_PEER_PYTHON to a Python with what benches/peers/{script} imports");
+            return None;
+        };
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/peers").join(script);
+        let mut command = Command::new(python);
+        let started = command.arg(path).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
+        let mut process = started.ok()?;
+        let (mut input, output) = (process.stdin.take()?, BufReader::new(process.stdout.take()?));
+        writeln!(input, "{job}").ok()?;
+        Some(Self { process, input, output })
+    }
+
+    /// What it answers to the next line; `None` when it has died, with its message above.
+    pub(crate) fn turn(&mut self) -> Option<String> {
+        let mut line = String::new();
+        writeln!(self.input).and_then(|()| self.input.flush()).ok()?;
+        (self.output.read_line(&mut line).ok()? > 0).then_some(line)
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
 
 /// Median and least seconds of several runs after a warm-up.
 pub(crate) fn seconds(runs: usize, mut work: impl FnMut()) -> (f64, f64) {

@@ -175,16 +175,25 @@ impl WithSimd for Exponentials<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> f32 {
         let (vectors, rest) = S::as_simd_f32s(self.0);
-        let mut largest = simd.splat_f32s(f32::NEG_INFINITY);
-        for &vector in vectors {
-            largest = simd.max_f32s(largest, vector);
+        // Four at a time, none of which waits for the one before.
+        let mut largest = [simd.splat_f32s(f32::NEG_INFINITY); 4];
+        let (fours, last) = vectors.as_chunks::<4>();
+        for vectors in fours {
+            for (largest, &vector) in largest.iter_mut().zip(vectors) {
+                *largest = simd.max_f32s(*largest, vector);
+            }
         }
-        let largest = rest.iter().fold(simd.reduce_max_f32s(largest), |a, &b| a.max(b));
-        for value in self.0.iter_mut() {
-            *value = exp(*value - largest);
+        for &vector in last {
+            largest[0] = simd.max_f32s(largest[0], vector);
         }
-        // In an order that does not depend on the width of vectors: the same bits on every processor.
-        lanes::sum_by_halves(self.0)
+        let largest = largest.map(|vector| simd.reduce_max_f32s(vector));
+        let largest = largest.iter().chain(rest).fold(f32::NEG_INFINITY, |a, &b| a.max(b));
+        // Summed in an order that does not depend on the width of vectors: the same bits on every processor.
+        lanes::map_and_sum_by_halves(
+            self.0,
+            #[inline(always)]
+            |value| exp(value - largest),
+        )
     }
 }
 

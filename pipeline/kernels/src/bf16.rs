@@ -38,6 +38,34 @@ pub(crate) fn pack(row: &[f32], out: &mut [u32]) {
     );
 }
 
+/// Rounds numbers, as f32.
+pub(crate) fn round(values: &[f32], out: &mut [u32]) {
+    vectorised(
+        #[inline(always)]
+        || {
+            for (out, &value) in out.iter_mut().zip(values) {
+                *out = rounded(value) << 16;
+            }
+        },
+    );
+}
+
+/// The same of a row whose pairs are exchanged; where its length is odd a zero comes before the last number.
+pub(crate) fn round_swapped(row: &[f32], out: &mut [u32]) {
+    vectorised(
+        #[inline(always)]
+        || {
+            let (pairs, last) = row.as_chunks::<2>();
+            if let [last] = last {
+                [out[row.len() - 1], out[row.len()]] = [0, rounded(*last) << 16];
+            }
+            for (out, values) in out.as_chunks_mut::<2>().0.iter_mut().zip(pairs) {
+                *out = [rounded(values[1]) << 16, rounded(values[0]) << 16];
+            }
+        },
+    );
+}
+
 /// Rounds two rows that are one behind the other, place by place.
 pub(crate) fn pack_two(first: &[f32], second: &[f32], out: &mut [u32]) {
     vectorised(
@@ -54,6 +82,21 @@ pub(crate) fn pack_two(first: &[f32], second: &[f32], out: &mut [u32]) {
 #[cfg(target_arch = "x86_64")]
 pub(crate) fn is_available() -> bool {
     std::arch::is_x86_feature_detected!("avx512bf16") && std::arch::is_x86_feature_detected!("avx512f")
+}
+
+/// Whether the instruction makes products faster than those of f32 are.
+#[cfg(target_arch = "x86_64")]
+pub(crate) fn is_fast() -> bool {
+    static FAST: std::sync::LazyLock<bool> = std::sync::LazyLock::new(|| is_available() && is_amd());
+    *FAST
+}
+
+#[cfg(target_arch = "x86_64")]
+#[allow(unsafe_code, unused_unsafe, reason = "safe in newer compilers")]
+fn is_amd() -> bool {
+    // SAFETY: every x86-64 CPU has this instruction.
+    let vendor = unsafe { std::arch::x86_64::__cpuid(0) };
+    [vendor.ebx, vendor.edx, vendor.ecx].map(u32::to_le_bytes).as_flattened() == b"AuthenticAMD"
 }
 
 /// The bits of pairs as the instruction takes them.

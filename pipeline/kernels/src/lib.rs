@@ -38,11 +38,11 @@ mod vectorised;
 
 pub use attention::{Head, PackedAttention};
 pub use axis::Axis;
-pub use conv::{Activation, Conv, Conv3x3, DenseTail, Maps, TileSize, Winograd, weight_gradient};
+pub use conv::{Conv, Conv3x3, DenseTail, Maps, TileSize, Winograd, weight_gradient};
 pub use cubic::{CubicTaps, cubic_taps};
 pub use feature_map::{FeatureMap, add_resized};
 pub use layers::{LayerNorm, Linear, ROWS_PER_PIECE};
-pub use matrix::{Matrix, Precision};
+pub use matrix::{Matrix, Precision, bf16_is_fast};
 pub use neighbours::neighbour_attention;
 pub use norm::{Norm, moments};
 pub use pool::MaxPool;

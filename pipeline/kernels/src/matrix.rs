@@ -11,17 +11,57 @@ pub enum Precision {
     /// f32 throughout.
     #[default]
     F32,
-    /// Operands rounded to bfloat16, sums in f32: faster on CPUs with AVX512_BF16, the same bits on others. Only
-    /// without gradients on the CPU; elsewhere this is as [`Self::F32`].
+    /// Operands rounded to bfloat16, sums in f32: faster where [`bf16_is_fast`], as fast as f32 and the same bits on
+    /// other CPUs. Only without gradients on the CPU; elsewhere this is as [`Self::F32`].
     Bf16,
 }
 
-impl Precision {
+/// Whether this CPU multiplies bfloat16 faster than f32: it has AVX512_BF16 and is an AMD's. Intel's make one such instruction
+/// where they make two on f32, which comes to the same.
+#[must_use]
+pub fn bf16_is_fast() -> bool {
+    #[cfg(target_arch = "x86_64")]
+    return bf16::is_fast();
+    #[cfg(not(target_arch = "x86_64"))]
+    false
+}
+
+/// What an operand's row is made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Units {
+    /// Single numbers.
+    Numbers,
+    /// Pairs of numbers rounded to bfloat16, for the instruction that multiplies these.
+    Pairs,
+    /// Numbers rounded to bfloat16, as f32, of each pair the second one first: summed one after the other, they give what
+    /// that instruction gives.
+    Swapped,
+}
+
+impl Units {
+    /// What this CPU is best at.
+    pub(crate) fn of(precision: Precision) -> Self {
+        match precision {
+            Precision::F32 => Self::Numbers,
+            Precision::Bf16 if bf16_is_fast() => Self::Pairs,
+            Precision::Bf16 => Self::Swapped,
+        }
+    }
+
     /// Numbers in a unit.
     pub(crate) fn numbers(self) -> usize {
         match self {
-            Self::F32 => 1,
-            Self::Bf16 => 2,
+            Self::Numbers | Self::Swapped => 1,
+            Self::Pairs => 2,
+        }
+    }
+
+    /// Units of a row of numbers.
+    pub(crate) fn count(self, numbers: usize) -> usize {
+        match self {
+            Self::Numbers => numbers,
+            Self::Pairs => numbers.div_ceil(2),
+            Self::Swapped => numbers.next_multiple_of(2),
         }
     }
 }
@@ -75,82 +115,90 @@ impl<'a> Matrix<'a> {
 
     /// The unit of a row that begins at a column.
     #[inline(always)]
-    fn unit(&self, row: usize, column: usize, precision: Precision) -> u32 {
-        let at = |column: usize| self.values[row * self.strides[0] + column * self.strides[1]];
-        match precision {
-            Precision::F32 => at(column).to_bits(),
-            Precision::Bf16 => {
-                let second = if column + 1 < self.size[1] { at(column + 1) } else { 0.0 };
-                bf16::pair(at(column), second)
+    fn unit(&self, row: usize, column: usize, units: Units) -> u32 {
+        let at = |column: usize| {
+            if column < self.size[1] {
+                self.values[row * self.strides[0] + column * self.strides[1]]
+            } else {
+                0.0
             }
+        };
+        match units {
+            Units::Numbers => at(column).to_bits(),
+            Units::Pairs => bf16::pair(at(column), at(column + 1)),
+            Units::Swapped => bf16::rounded(at(column ^ 1)) << 16,
         }
     }
 
     /// Units of some neighbouring rows at one column.
-    fn across(&self, row: usize, column: usize, precision: Precision, out: &mut [u32]) {
+    fn across(&self, row: usize, column: usize, units: Units, out: &mut [u32]) {
         if self.strides[0] != 1 {
             for (row, out) in (row..).zip(out) {
-                *out = self.unit(row, column, precision);
+                *out = self.unit(row, column, units);
             }
             return;
         }
         let count = out.len();
-        let at = |column: usize| &self.values[row + column * self.strides[1]..][..count];
-        match precision {
-            Precision::F32 => {
+        let at = |column: usize| {
+            if column < self.size[1] {
+                &self.values[row + column * self.strides[1]..][..count]
+            } else {
+                &[0.0; COLUMNS][..count]
+            }
+        };
+        match units {
+            Units::Numbers => {
                 for (out, value) in out.iter_mut().zip(at(column)) {
                     *out = value.to_bits();
                 }
             }
-            Precision::Bf16 if column + 1 < self.size[1] => bf16::pack_two(at(column), at(column + 1), out),
-            Precision::Bf16 => bf16::pack_two(at(column), &[0.0; COLUMNS], out),
+            Units::Pairs => bf16::pack_two(at(column), at(column + 1), out),
+            Units::Swapped => bf16::round(at(column ^ 1), out),
         }
     }
 
     /// Units of one row from a column on, as many as there are and fit.
-    fn along(&self, row: usize, column: usize, precision: Precision, line: &mut Line) {
-        let count = self.size[1].saturating_sub(column).min(COLUMNS * precision.numbers());
+    fn along(&self, row: usize, column: usize, units: Units, line: &mut Line) {
+        let numbers = units.numbers();
+        let count = self.size[1].saturating_sub(column).min(COLUMNS * numbers);
         if self.strides[1] != 1 {
-            for (unit, out) in line
-                .pairs_mut()
-                .iter_mut()
-                .take(count.div_ceil(precision.numbers()))
-                .enumerate()
-            {
-                *out = self.unit(row, column + unit * precision.numbers(), precision);
+            let whole = line.pairs_mut().iter_mut().take(units.count(count));
+            for (unit, out) in whole.enumerate() {
+                *out = self.unit(row, column + unit * numbers, units);
             }
             return;
         }
         let values = &self.values[row * self.strides[0] + column..][..count];
-        match precision {
-            Precision::F32 => copy(values, &mut line.0),
-            Precision::Bf16 => bf16::pack(values, line.pairs_mut()),
+        match units {
+            Units::Numbers => copy(values, &mut line.0),
+            Units::Pairs => bf16::pack(values, line.pairs_mut()),
+            Units::Swapped => bf16::round_swapped(values, line.pairs_mut()),
         }
     }
 
     /// A panel of weights: the units of at most [`COLUMNS`] rows side by side, a line for each unit.
-    pub(crate) fn panel(&self, rows: Range<usize>, precision: Precision, lines: &mut [Line]) {
+    pub(crate) fn panel(&self, rows: Range<usize>, units: Units, lines: &mut [Line]) {
         // Some units at a time, so that both sides are read and written in whole cache lines.
         const PART: usize = 16;
         for (part, lines) in lines.chunks_mut(PART).enumerate() {
-            let column = |unit: usize| (PART * part + unit) * precision.numbers();
+            let column = |unit: usize| (PART * part + unit) * units.numbers();
             if self.strides[0] == 1 {
                 for (unit, line) in lines.iter_mut().enumerate() {
-                    self.across(rows.start, column(unit), precision, &mut line.pairs_mut()[..rows.len()]);
+                    self.across(rows.start, column(unit), units, &mut line.pairs_mut()[..rows.len()]);
                 }
                 continue;
             }
             for (lane, row) in rows.clone().enumerate() {
                 let values = &self.values[row * self.strides[0] + column(0) * self.strides[1]..];
-                match precision {
-                    Precision::F32 => {
+                match units {
+                    Units::Numbers => {
                         for (line, value) in lines.iter_mut().zip(values.iter().step_by(self.strides[1])) {
                             line.0[lane] = *value;
                         }
                     }
-                    Precision::Bf16 => {
+                    Units::Pairs | Units::Swapped => {
                         for (unit, line) in lines.iter_mut().enumerate() {
-                            line.pairs_mut()[lane] = self.unit(row, column(unit), precision);
+                            line.pairs_mut()[lane] = self.unit(row, column(unit), units);
                         }
                     }
                 }
@@ -160,25 +208,26 @@ impl<'a> Matrix<'a> {
 
     /// A strip of the left operand: units of at most [`ROWS`] rows from `first` on. `[chunks][ROWS]`, a line for each
     /// [`COLUMNS`] units of a row
-    pub(crate) fn strip(&self, rows: Range<usize>, first: usize, precision: Precision, out: &mut [Line]) {
+    pub(crate) fn strip(&self, rows: Range<usize>, first: usize, units: Units, out: &mut [Line]) {
         for (chunk, lines) in out.chunks_exact_mut(ROWS).enumerate() {
-            let column = (first + chunk * COLUMNS) * precision.numbers();
+            let column = (first + chunk * COLUMNS) * units.numbers();
             if self.strides[0] == 1 && self.strides[1] != 1 {
-                let mut units = [0; ROWS];
-                let units = &mut units[..rows.len()];
+                let mut values = [0; ROWS];
+                let values = &mut values[..rows.len()];
+                let last = units.count(self.size[1]) * units.numbers();
                 for unit in 0..COLUMNS {
-                    let column = column + unit * precision.numbers();
-                    if column >= self.size[1] {
+                    let column = column + unit * units.numbers();
+                    if column >= last {
                         break;
                     }
-                    self.across(rows.start, column, precision, units);
-                    for (line, value) in lines.iter_mut().zip(&*units) {
+                    self.across(rows.start, column, units, values);
+                    for (line, value) in lines.iter_mut().zip(&*values) {
                         line.pairs_mut()[unit] = *value;
                     }
                 }
             } else {
                 for (row, line) in rows.clone().zip(lines) {
-                    self.along(row, column, precision, line);
+                    self.along(row, column, units, line);
                 }
             }
         }

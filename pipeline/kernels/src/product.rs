@@ -2,8 +2,8 @@
 //!
 //! Weights are packed into panels of [`COLUMNS`] outputs. Rows of the left operand lie in chunks of as many units, a strip
 //! of at most [`ROWS`] rows at a time: units are summed in blocks of [`DEPTH`], so that a tile's operands lie in the
-//! first-level cache and its sums in registers. A unit is one f32, or a pair of numbers rounded to bfloat16 whose products
-//! are summed in f32 ([`Precision::Bf16`]). A sum takes its terms in ascending order, whatever the number of threads, of
+//! first-level cache and its sums in registers. A unit is one f32, or where CPUs are made for it a pair of numbers rounded
+//! to bfloat16 whose products are summed in f32 ([`Precision::Bf16`]). A sum takes its terms in ascending order, whatever the number of threads, of
 //! rows in a strip and of units in a block.
 
 use std::cell::Cell;
@@ -13,6 +13,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use crate::tile::{COLUMNS, Line, ROWS, copy, for_rows, resized};
+use crate::matrix::Units;
 use crate::{Matrix, Precision, bf16, vectorised};
 
 /// Units that are summed in one go.
@@ -33,7 +34,7 @@ pub struct PackedWeight {
     lines: Vec<Line>,
     inputs: usize,
     outputs: usize,
-    precision: Precision,
+    units: Units,
 }
 
 impl PackedWeight {
@@ -46,21 +47,21 @@ impl PackedWeight {
     /// Packs any matrix of weights. `[outputs, inputs]`
     #[must_use]
     pub fn of(weight: Matrix<'_>, precision: Precision) -> Self {
-        let [outputs, inputs] = weight.size();
-        let units = inputs.div_ceil(precision.numbers());
-        let mut lines = vec![Line::ZERO; outputs.div_ceil(COLUMNS) * units];
+        let ([outputs, inputs], units) = (weight.size(), Units::of(precision));
+        let count = units.count(inputs);
+        let mut lines = vec![Line::ZERO; outputs.div_ceil(COLUMNS) * count];
         lines
-            .par_chunks_mut(units.max(1))
+            .par_chunks_mut(count.max(1))
             .enumerate()
             .for_each(|(panel, lines)| {
                 let outputs = panel * COLUMNS..outputs.min((panel + 1) * COLUMNS);
-                weight.panel(outputs, precision, lines);
+                weight.panel(outputs, units, lines);
             });
         Self {
             lines,
             inputs,
             outputs,
-            precision,
+            units,
         }
     }
 
@@ -114,53 +115,117 @@ impl PackedWeight {
         (result, stride, add): (&mut [f32], usize, bool),
         finish: impl Fn(usize, usize, &mut [f32]),
     ) {
-        let count = self.inputs.div_ceil(self.precision.numbers());
+        let count = self.units.count(self.inputs);
         let strips = rows.len().div_ceil(ROWS);
-        let bound = |strip: usize| strip * rows.len() / strips;
         let mut scratch = SCRATCH.take();
         let packed = resized(&mut scratch, strips * STRIP);
         for first in (0..count).step_by(DEPTH) {
             let length = DEPTH.min(count - first);
             let (is_last, add) = (first + length == count, add || first > 0);
             for (strip, out) in packed.chunks_exact_mut(STRIP).enumerate() {
-                let own = rows.start + bound(strip)..rows.start + bound(strip + 1);
-                x.strip(own, first, self.precision, &mut out[..length.div_ceil(COLUMNS) * ROWS]);
+                let own = rows_of(strip, rows.len());
+                let own = rows.start + own.start..rows.start + own.end;
+                x.strip(own, first, self.units, &mut out[..length.div_ceil(COLUMNS) * ROWS]);
             }
             for (panel, weights) in self.lines.chunks_exact(count).enumerate() {
-                let weights = &weights[first..first + length];
                 let column = panel * COLUMNS;
                 let width = COLUMNS.min(self.outputs - column);
-                for (strip, values) in packed.chunks_exact(STRIP).enumerate() {
-                    let own = bound(strip)..bound(strip + 1);
-                    let mut sums = [Line::ZERO; ROWS];
-                    let sums = &mut sums[..own.len()];
-                    let first = own.start * stride;
-                    if add {
-                        for (sums, out) in sums.iter_mut().zip(result[first..].chunks(stride)) {
-                            copy(&out[column..column + width], &mut sums.0);
-                        }
-                    }
-                    match self.precision {
-                        Precision::F32 => product(values, ROWS, weights, sums, add),
-                        Precision::Bf16 => bf16::product(values, ROWS, weights, sums),
-                    }
-                    if is_last {
-                        vectorised(
-                            #[inline(always)]
-                            || {
-                                for (row, sums) in own.clone().zip(sums.iter_mut()) {
-                                    finish(row, column, &mut sums.0[..width]);
-                                }
-                            },
-                        );
-                    }
-                    for (out, sums) in result[first..].chunks_mut(stride).zip(&*sums) {
-                        copy(&sums.0, &mut out[column..column + width]);
-                    }
+                let panel = Panel {
+                    values: packed,
+                    rows: rows.len(),
+                    weights: &weights[first..first + length],
+                    result: &mut result[column..],
+                    stride,
+                    add,
+                };
+                match self.units {
+                    Units::Pairs => panel.by_strips(width, |values, weights, sums| {
+                        bf16::product(values, ROWS, weights, sums);
+                    }),
+                    _ if width == COLUMNS => Arch::new().dispatch(panel),
+                    _ => panel.by_strips(width, |values, weights, sums| {
+                        product(values, ROWS, weights, sums, true);
+                    }),
+                }
+                if is_last {
+                    vectorised(
+                        #[inline(always)]
+                        || {
+                            for (row, values) in result[column..].chunks_mut(stride).take(rows.len()).enumerate() {
+                                finish(row, column, &mut values[..width]);
+                            }
+                        },
+                    );
                 }
             }
         }
         SCRATCH.set(scratch);
+    }
+}
+
+/// The rows of a strip, of as many as there are: strips are as alike as can be.
+fn rows_of(strip: usize, rows: usize) -> Range<usize> {
+    let strips = rows.div_ceil(ROWS);
+    strip * rows / strips..(strip + 1) * rows / strips
+}
+
+/// Some units of one panel of weights, for all strips.
+struct Panel<'a> {
+    /// The strips.
+    values: &'a [Line],
+    /// Rows of all strips together.
+    rows: usize,
+    weights: &'a [Line],
+    /// From the panel's first column on; rows are `stride` apart.
+    result: &'a mut [f32],
+    stride: usize,
+    /// Whether to add to what is there.
+    add: bool,
+}
+
+impl Panel<'_> {
+    /// Strip by strip, `product(values, weights, sums)` adding to the sums of its rows, of which `width` are results.
+    fn by_strips(self, width: usize, product: impl Fn(&[Line], &[Line], &mut [Line])) {
+        for (strip, values) in self.values.chunks_exact(STRIP).enumerate() {
+            let own = rows_of(strip, self.rows);
+            let mut sums = [Line::ZERO; ROWS];
+            let sums = &mut sums[..own.len()];
+            let result = &mut self.result[own.start * self.stride..];
+            if self.add {
+                for (sums, result) in sums.iter_mut().zip(result.chunks(self.stride)) {
+                    copy(&result[..width], &mut sums.0);
+                }
+            }
+            product(values, self.weights, sums);
+            for (result, sums) in result.chunks_mut(self.stride).zip(&*sums) {
+                copy(&sums.0, &mut result[..width]);
+            }
+        }
+    }
+}
+
+impl WithSimd for Panel<'_> {
+    type Output = ();
+
+    /// Of a panel with as many outputs as it can have: sums go from registers to the result.
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        for (strip, values) in self.values.chunks_exact(STRIP).enumerate() {
+            let own = rows_of(strip, self.rows);
+            let out = Strided {
+                values: &mut self.result[own.start * self.stride..],
+                stride: self.stride,
+            };
+            Product {
+                values,
+                stride: ROWS,
+                weights: self.weights,
+                rows: own.len(),
+                out,
+                add: self.add,
+            }
+            .with_simd(simd);
+        }
     }
 }
 
@@ -173,20 +238,48 @@ pub(crate) fn product(values: &[Line], stride: usize, weights: &[Line], out: &mu
         values,
         stride,
         weights,
+        rows: out.len(),
         out,
         add,
     });
 }
 
-struct Product<'a> {
+/// Where the sums of rows lie.
+trait Sums {
+    /// The sums of a row.
+    fn row(&mut self, row: usize) -> &mut [f32];
+}
+
+impl Sums for &mut [Line] {
+    #[inline(always)]
+    fn row(&mut self, row: usize) -> &mut [f32] {
+        &mut self[row].0
+    }
+}
+
+/// Rows at a distance.
+struct Strided<'a> {
+    values: &'a mut [f32],
+    stride: usize,
+}
+
+impl Sums for Strided<'_> {
+    #[inline(always)]
+    fn row(&mut self, row: usize) -> &mut [f32] {
+        &mut self.values[row * self.stride..][..COLUMNS]
+    }
+}
+
+struct Product<'a, O> {
     values: &'a [Line],
     stride: usize,
     weights: &'a [Line],
-    out: &'a mut [Line],
+    rows: usize,
+    out: O,
     add: bool,
 }
 
-impl WithSimd for Product<'_> {
+impl<O: Sums> WithSimd for Product<'_, O> {
     type Output = ();
 
     #[inline(always)]
@@ -217,78 +310,66 @@ macro_rules! with_rows {
     };
 }
 
-impl Product<'_> {
+impl<O: Sums> Product<'_, O> {
     /// Groups of at most `MOST` rows, as alike as can be, `V` vectors of columns each.
     #[inline(always)]
-    fn groups<S: Simd, const MOST: usize, const V: usize>(self, simd: S) {
-        let Self {
-            values,
-            stride,
-            weights,
-            out,
-            add,
-        } = self;
-        let count = out.len();
+    fn groups<S: Simd, const MOST: usize, const V: usize>(mut self, simd: S) {
+        let count = self.rows;
         let groups = count.div_ceil(MOST);
         let mut first = 0;
         for group in 0..groups {
             let next = (group + 1) * count / groups;
-            let (values, out) = (&values[first..], &mut out[first..next]);
-            with_rows!(out.len(), |R| {
+            with_rows!(next - first, |R| {
                 if R <= MOST {
-                    rows::<S, R, V>(simd, values, stride, weights, out, add);
+                    self.rows::<S, R, V>(simd, first);
                 }
             });
             first = next;
         }
     }
-}
 
-/// The sums of `R` rows.
-#[inline(always)]
-fn rows<S: Simd, const R: usize, const V: usize>(
-    simd: S,
-    values: &[Line],
-    stride: usize,
-    weights: &[Line],
-    out: &mut [Line],
-    add: bool,
-) {
-    let Some(out) = out.first_chunk_mut::<R>() else { return };
-    let mut total = [[simd.splat_f32s(0.0); V]; R];
-    if add {
-        for_rows!(|ROW| {
-            if ROW < R {
-                for vector in 0..V {
-                    total[ROW][vector] = S::as_simd_f32s(&out[ROW].0).0[vector];
-                }
-            }
-        });
-    }
-    for (values, weights) in values.chunks(stride).zip(weights.chunks(COLUMNS)) {
-        let Some(values) = values.first_chunk::<R>() else {
-            return;
-        };
-        for (unit, weights) in (0..COLUMNS).zip(weights) {
-            let (weights, _) = S::as_simd_f32s(&weights.0);
+    /// The sums of `R` rows.
+    #[inline(always)]
+    fn rows<S: Simd, const R: usize, const V: usize>(&mut self, simd: S, first: usize) {
+        let mut total = [[simd.splat_f32s(0.0); V]; R];
+        if self.add {
             for_rows!(|ROW| {
                 if ROW < R {
-                    let value = simd.splat_f32s(values[ROW].0[unit]);
+                    let (sums, _) = S::as_simd_f32s(self.out.row(first + ROW));
                     for vector in 0..V {
-                        total[ROW][vector] = simd.mul_add_f32s(value, weights[vector], total[ROW][vector]);
+                        total[ROW][vector] = sums[vector];
                     }
                 }
             });
         }
-    }
-    for_rows!(|ROW| {
-        if ROW < R {
-            for vector in 0..V {
-                S::as_mut_simd_f32s(&mut out[ROW].0).0[vector] = total[ROW][vector];
+        let values = self.values[first..].chunks(self.stride);
+        for (values, weights) in values.zip(self.weights.chunks(COLUMNS)) {
+            let Some(values) = values.first_chunk::<R>() else {
+                return;
+            };
+            for (unit, weights) in (0..COLUMNS).zip(weights) {
+                let (weights, _) = S::as_simd_f32s(&weights.0);
+                for_rows!(|ROW| {
+                    if ROW < R {
+                        let value = simd.splat_f32s(values[ROW].0[unit]);
+                        for vector in 0..V {
+                            total[ROW][vector] = simd.mul_add_f32s(value, weights[vector], total[ROW][vector]);
+                        }
+                    }
+                });
             }
         }
-    });
+        for_rows!(|ROW| {
+            if ROW < R {
+                let (sums, _) = S::as_mut_simd_f32s(self.out.row(first + ROW));
+                for vector in 0..V {
+                    sums[vector] = total[ROW][vector];
+                }
+            }
+        });
+    }
 }
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -45,8 +45,8 @@ impl ResidualUnit {
 
     /// The skip adds relu(x), not x: the released network was trained with an in-place activation.
     fn forward(&self, input: Tensor<4>) -> Tensor<4> {
-        self.conv2
-            .forward_onto(self.conv1.forward_rectified(input.clone()), input)
+        let inner = self.conv1.forward_of_relu(input.clone());
+        self.conv2.forward_of_relu_onto(inner, input)
     }
 }
 
@@ -108,7 +108,7 @@ impl StemJoin {
 
     fn refine(&self, map: Tensor<4>, local: &Pyramid) -> Tensor<4> {
         let joined = self.add(0, map, local);
-        joined.clone() + self.conv2.forward(self.conv1.forward_rectified(joined))
+        joined.clone() + self.conv2.forward_of_relu(self.conv1.forward_of_relu(joined))
     }
 }
 
@@ -379,6 +379,6 @@ impl FkBranch {
     #[must_use]
     pub fn forward(&self, kappa: Tensor<4>) -> Tensor<4> {
         let [first, second, third] = &self.layers;
-        third.forward(ops::relu(second.forward(ops::relu(first.forward(kappa)))))
+        third.forward_of_relu(second.forward_of_relu(first.forward(kappa)))
     }
 }

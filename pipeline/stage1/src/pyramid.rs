@@ -14,7 +14,7 @@ pub type Pyramid = [Tensor<4>; 4];
 pub(crate) fn two_layers(scope: &Scope<'_>, map: Tensor<4>, outputs: usize) -> Result<Tensor<4>> {
     let inputs = map.dims()[1];
     let first = Conv::load(&scope.child("conv1"), [outputs, inputs], 3, 1)?.forward(map);
-    let second = Conv::load(&scope.child("conv2"), [outputs; 2], 3, 1)?.forward(ops::relu(first));
+    let second = Conv::load(&scope.child("conv2"), [outputs; 2], 3, 1)?.forward_of_relu(first);
     Ok(ops::relu(second))
 }
 

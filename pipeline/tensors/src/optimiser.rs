@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use burn::tensor::Tensor;
 use rayon::prelude::*;
+use rogs_kernels::vectorised;
 
 use crate::Result;
 use crate::parameters::{Parameters, to_host};
@@ -41,7 +42,8 @@ pub fn norm(gradients: &Gradients) -> f64 {
             .map(|&value| f64::from(value) * f64::from(value))
             .sum::<f64>()
     };
-    gradients.values().map(square).sum::<f64>().sqrt()
+    let squares: Vec<f64> = gradients.par_iter().map(|(_, values)| square(values)).collect();
+    squares.into_iter().sum::<f64>().sqrt()
 }
 
 /// How parameters are moved.
@@ -86,13 +88,18 @@ pub fn collect(leaves: &Parameters, graph: &mut burn::tensor::Gradients, by_name
 }
 
 /// Adds a share of the gradients of one clip to those of an update.
-pub fn add(sum: &mut Gradients, share: f64, gradients: Gradients) {
-    for (name, gradient) in gradients {
-        let total = sum.entry(name).or_insert_with(|| vec![0.0; gradient.len()]);
-        for (total, value) in total.iter_mut().zip(gradient) {
-            *total += share as f32 * value;
+pub fn add(sum: &mut Gradients, share: f64, mut gradients: Gradients) {
+    let share = share as f32;
+    sum.par_iter_mut().for_each(|(name, total)| {
+        for (total, value) in total.iter_mut().zip(gradients.get(name).into_iter().flatten()) {
+            *total += share * value;
         }
-    }
+    });
+    gradients.retain(|name, _| !sum.contains_key(name));
+    gradients
+        .par_iter_mut()
+        .for_each(|(_, values)| values.iter_mut().for_each(|value| *value *= share));
+    sum.append(&mut gradients);
 }
 
 /// Moves the parameters by update `step` (counted from 0); returns the norm of the gradients before clipping. When that is
@@ -113,29 +120,79 @@ pub fn update(
     }
     let clip = if size > rule.clip { rule.clip / size } else { 1.0 };
     let unbias = rule.betas.map(|beta| 1.0 - beta.powi(step as i32 + 1));
-    let [beta1, beta2] = rule.betas;
+    let mut moved = Vec::with_capacity(gradients.len());
     for (name, gradient) in gradients {
         let Some(rate) = (rule.rate)(name) else { continue };
-        let rate = rate * rule.share;
-        let shape = parameters.shape(name).unwrap_or_default().to_vec();
-        let decay = (rule.weight_decay)(&shape);
-        let mut values = parameters.host(name)?;
-        let [first, second] = moments
-            .by_name
-            .entry(name.clone())
-            .or_insert_with(|| [vec![0.0; gradient.len()], vec![0.0; gradient.len()]]);
-        (values.par_iter_mut().zip(gradient))
-            .zip(first.par_iter_mut().zip(second.par_iter_mut()))
-            .for_each(|((value, &gradient), (first, second))| {
-                let gradient = f64::from(gradient) * clip;
-                let mean = beta1 * f64::from(*first) + (1.0 - beta1) * gradient;
-                let square = beta2 * f64::from(*second) + (1.0 - beta2) * gradient * gradient;
-                (*first, *second) = (mean as f32, square as f32);
-                let direction = mean / unbias[0] / ((square / unbias[1]).sqrt() + EPSILON);
-                let old = f64::from(*value);
-                *value = (old - rate * (direction + decay * old)) as f32;
-            });
-        parameters.insert(name, &shape, values)?;
+        let (shape, values) = (parameters.shape(name).unwrap_or_default().to_vec(), parameters.host(name)?);
+        let zeros = || vec![0.0; gradient.len()];
+        let one = Moved {
+            rate: rate * rule.share,
+            decay: (rule.weight_decay)(&shape),
+            moments: moments.by_name.remove(name).unwrap_or_else(|| [zeros(), zeros()]),
+            name: name.clone(),
+            shape,
+            values,
+        };
+        moved.push((one, gradient));
+    }
+    let step = Step {
+        clip,
+        betas: rule.betas,
+        unbias,
+    };
+    moved.par_iter_mut().for_each(|(one, gradient)| step.apply(one, gradient));
+    for (one, _) in moved {
+        parameters.insert(&one.name, &one.shape, one.values)?;
+        moments.by_name.insert(one.name, one.moments);
     }
     Ok(size)
+}
+
+/// A parameter that an update moves.
+struct Moved {
+    name: String,
+    shape: Vec<usize>,
+    values: Vec<f32>,
+    moments: [Vec<f32>; 2],
+    rate: f64,
+    decay: f64,
+}
+
+/// What all parameters of an update have in common.
+struct Step {
+    /// What gradients are multiplied with.
+    clip: f64,
+    betas: [f64; 2],
+    /// What the moments are divided by.
+    unbias: [f64; 2],
+}
+
+impl Step {
+    /// Moves one parameter.
+    fn apply(&self, moved: &mut Moved, gradient: &[f32]) {
+        let Self { clip, betas, unbias } = *self;
+        let Moved {
+            values,
+            moments: [first, second],
+            rate,
+            decay,
+            ..
+        } = moved;
+        let (rate, decay, [beta1, beta2]) = (*rate, *decay, betas);
+        vectorised(
+            #[inline(always)]
+            || {
+                let moments = first.iter_mut().zip(second.iter_mut());
+                for ((value, &gradient), (first, second)) in values.iter_mut().zip(gradient).zip(moments) {
+                    let gradient = f64::from(gradient) * clip;
+                    let mean = beta1 * f64::from(*first) + (1.0 - beta1) * gradient;
+                    let square = beta2 * f64::from(*second) + (1.0 - beta2) * gradient * gradient;
+                    (*first, *second) = (mean as f32, square as f32);
+                    let direction = mean / unbias[0] / ((square / unbias[1]).sqrt() + EPSILON);
+                    let old = f64::from(*value);
+                    *value = (old - rate * (direction + decay * old)) as f32;
+                }
+            },
+        );
+    }
 }

@@ -37,4 +37,4 @@ pub use job::quietly;
 pub use observer::{Observer, Part, Unobserved};
 pub use params::parse_params;
 pub use stage::Stage;
-pub use sys::peak_rss_bytes;
+pub use sys::{keep_memory, peak_rss_bytes};

@@ -10,6 +10,7 @@ use rogs_train::stream::batches;
 use rogs_train::{Stage1Trainer, Stage1Training, Trainer};
 
 fn main() -> rogs_train::Result<()> {
+    rogs_worker::keep_memory();
     let mut arguments = std::env::args().skip(1);
     let settings = match arguments.next() {
         Some(path) => Stage1Training::read(Path::new(&path))?,

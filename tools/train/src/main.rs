@@ -100,6 +100,7 @@ enum NumberFormat {
 }
 
 fn main() -> ExitCode {
+    rogs_worker::keep_memory();
     match execute(Arguments::parse().command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

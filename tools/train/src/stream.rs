@@ -59,26 +59,51 @@ pub struct Stream<T> {
 #[must_use]
 pub fn batches(settings: &Stage1Training, from: u64) -> Stream<Batch> {
     let settings = settings.clone();
-    let clips_of = |settings: &Stage1Training, step| u64::from(shape(&settings.data, settings.seed, step).1);
-    let mut first: u64 = (0..from).map(|step| clips_of(&settings, step)).sum();
+    let mut first = clips_before(&settings, from);
     Stream::start(from..settings.steps, move |step| {
-        let data = &settings.data;
-        let plans = plans(data, settings.seed, step, first);
-        first += plans.len() as u64;
-        let with_targets = settings.losses.renders_views();
-        let clips: Result<_> = plans.iter().map(|plan| sampled(plan, data, with_targets)).collect();
-        Ok(Batch { step, clips: clips? })
+        let batch = batch_from(&settings, step, first)?;
+        first += batch.clips.len() as u64;
+        Ok(batch)
     })
 }
 
+/// The batch of one update of a Stage-1 run, made at once.
+///
+/// # Errors
+/// When a clip cannot be made.
+pub fn batch(settings: &Stage1Training, step: u64) -> Result<Batch> {
+    batch_from(settings, step, clips_before(settings, step))
+}
+
+/// Number of clips of all updates before this one.
+fn clips_before(settings: &Stage1Training, step: u64) -> u64 {
+    let clips_of = |step| u64::from(shape(&settings.data, settings.seed, step).1);
+    (0..step).map(clips_of).sum()
+}
+
+/// The batch of an update; `first` as in [`plans`].
+fn batch_from(settings: &Stage1Training, step: u64, first: u64) -> Result<Batch> {
+    let (data, with_targets) = (&settings.data, settings.losses.renders_views());
+    let plans = plans(data, settings.seed, step, first);
+    let clips: Result<_> = plans.iter().map(|plan| sampled(plan, data, with_targets)).collect();
+    Ok(Batch { step, clips: clips? })
+}
+
 impl<T: Send + 'static> Stream<T> {
-    /// Starts to make items for these updates; ends early after an error.
+    /// Starts to make items for these updates; ends early after an error. They are made on threads of their own, as many as
+    /// training has: those of training would not turn to them before an update is done.
     #[must_use]
     pub fn start(updates: Range<u64>, mut make: impl FnMut(u64) -> Result<T> + Send + 'static) -> Self {
         let (sender, receiver) = sync_channel(AHEAD);
+        let threads = rayon::ThreadPoolBuilder::new().num_threads(rayon::current_num_threads());
         let worker = std::thread::spawn(move || {
+            // Where the system starts no more threads, those of training have to do.
+            let pool = threads.build().ok();
             for update in updates {
-                let item = make(update);
+                let item = match &pool {
+                    Some(pool) => pool.install(|| make(update)),
+                    None => make(update),
+                };
                 let failed = item.is_err();
                 // An error of `send` says that nobody listens any more.
                 if sender.send(item).is_err() || failed {

@@ -1,5 +1,7 @@
 //! The input rows of a band of a convolution's output rows, and the tile that both instruction paths sum over it.
 
+use std::cell::Cell;
+
 use rayon::prelude::*;
 
 /// Output channels of a register tile.
@@ -9,35 +11,33 @@ const LEFT: usize = 1;
 /// Widest vector of any instruction set, for sizing buffers.
 const MAX_LANES: usize = 16;
 
-/// Computes bands of rows of planar images side by side. `compute(image, first row, rows)` gives the planes of a band, at
-/// least `channels`; the result is `[images, channels, height, width]`. `step` is the number of rows of a band.
+thread_local! {
+    /// The buffer of a band, kept from one to the next.
+    static SCRATCH: Cell<Vec<f32>> = const { Cell::new(Vec::new()) };
+}
+
+/// Computes bands of rows of planar images side by side. `compute(image, first row, rows, planes)` fills the rows of every
+/// channel; the result is `[images, channels, height, width]`. `step` is the number of rows of a band.
 pub(crate) fn in_bands(
     images: usize,
     channels: usize,
     [height, width]: [usize; 2],
     step: usize,
-    compute: impl Fn(usize, usize, usize) -> Vec<f32> + Sync,
+    compute: impl Fn(usize, usize, usize, &mut [&mut [f32]]) + Sync,
 ) -> Vec<f32> {
     let (area, bands) = (height * width, height.div_ceil(step));
-    let place = |task: usize| {
-        let first = task % bands * step;
-        (task / bands, first, step.min(height - first))
-    };
-    let computed: Vec<Vec<f32>> = (0..images * bands)
-        .into_par_iter()
-        .map(|task| {
-            let (image, first, rows) = place(task);
-            compute(image, first, rows)
-        })
-        .collect();
     let mut output = vec![0.0f32; images * channels * area];
-    for (task, band) in computed.into_iter().enumerate() {
-        let (image, first, rows) = place(task);
-        for (channel, values) in band.chunks_exact(rows * width).take(channels).enumerate() {
-            let start = (image * channels + channel) * area + first * width;
-            output[start..start + values.len()].copy_from_slice(values);
+    let mut tasks: Vec<Vec<&mut [f32]>> = Vec::new();
+    tasks.resize_with(images * bands, || Vec::with_capacity(channels));
+    for (plane, values) in output.chunks_exact_mut(area.max(1)).enumerate() {
+        for (band, rows) in values.chunks_mut((step * width).max(1)).enumerate() {
+            tasks[plane / channels * bands + band].push(rows);
         }
     }
+    tasks.into_par_iter().enumerate().for_each(|(task, mut planes)| {
+        let first = task % bands * step;
+        compute(task / bands, first, step.min(height - first), &mut planes);
+    });
     output
 }
 
@@ -61,8 +61,11 @@ impl Band {
     pub(crate) fn new(inputs: usize, rows: usize, width: usize) -> Self {
         // Tiles read whole vectors, up to one beyond the last column and its right neighbour.
         let stride = width.next_multiple_of(MAX_LANES) + MAX_LANES;
+        let mut values = SCRATCH.take();
+        values.clear();
+        values.resize(inputs * (rows + 2) * stride, 0.0);
         Self {
-            values: vec![0.0; inputs * (rows + 2) * stride],
+            values,
             rows,
             width,
             stride,
@@ -95,5 +98,11 @@ impl Band {
         for (index, values) in self.values.chunks_exact_mut(self.stride).enumerate() {
             row(index / rows, index % rows, &mut values[LEFT..LEFT + self.width]);
         }
+    }
+}
+
+impl Drop for Band {
+    fn drop(&mut self) {
+        SCRATCH.set(std::mem::take(&mut self.values));
     }
 }

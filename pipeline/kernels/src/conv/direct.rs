@@ -9,15 +9,6 @@ use super::band::{Band, TILE, band_rows, in_bands};
 use super::pairs;
 use crate::Precision;
 
-/// What happens to the sums.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Activation {
-    /// Nothing.
-    Nothing,
-    /// Negative values become 0.
-    Relu,
-}
-
 /// Weights laid out for the tiles, and what goes with them.
 #[derive(Debug)]
 pub struct Conv3x3 {
@@ -68,85 +59,93 @@ impl Conv3x3 {
     pub fn run(
         &self,
         input: &[f32],
+        size: [usize; 2],
+        rectify: bool,
+        residual: Option<&[f32]>,
+    ) -> Vec<f32> {
+        self.convolve(input, size, rectify, |place, values| {
+            if let Some(residual) = residual {
+                values
+                    .iter_mut()
+                    .zip(&residual[place..])
+                    .for_each(|(value, &other)| *value += other.max(0.0));
+            }
+        })
+    }
+
+    /// Convolves gradients of what followed a ReLU of `gate`: 0 where the gate let nothing through.
+    /// `[B, in, H, W] -> [B, out, H, W]`, `gate [B, out, H, W]`
+    #[must_use]
+    pub fn run_gated(&self, gradient: &[f32], size: [usize; 2], gate: &[f32]) -> Vec<f32> {
+        self.convolve(gradient, size, false, |place, values| {
+            for (value, &gate) in values.iter_mut().zip(&gate[place..]) {
+                *value = if gate > 0.0 { *value } else { 0.0 };
+            }
+        })
+    }
+
+    /// Convolves images; `finish(place, values)` sees the rows of a channel of a band, whose first value has that place.
+    fn convolve(
+        &self,
+        input: &[f32],
         [height, width]: [usize; 2],
         rectify: bool,
-        after: Activation,
-        residual: Option<&[f32]>,
+        finish: impl Fn(usize, &mut [f32]) + Sync,
     ) -> Vec<f32> {
         let area = height * width;
         let images = input.len() / (self.inputs * area).max(1);
         let step = band_rows(self.inputs, width);
-        in_bands(images, self.outputs, [height, width], step, |image, first, rows| {
-            let source = &input[image * self.inputs * area..][..self.inputs * area];
-            let mut band = Band::new(self.inputs, rows, width);
-            band.fill(|channel, row, out| {
-                let Some(row) = (first + row).checked_sub(1).filter(|&row| row < height) else {
-                    return;
-                };
-                let values = &source[channel * area + row * width..][..width];
-                if rectify {
-                    out.iter_mut()
-                        .zip(values)
-                        .for_each(|(out, &value)| *out = value.max(0.0));
-                } else {
-                    out.copy_from_slice(values);
+        in_bands(
+            images,
+            self.outputs,
+            [height, width],
+            step,
+            |image, first, rows, planes| {
+                let source = &input[image * self.inputs * area..][..self.inputs * area];
+                let mut band = Band::new(self.inputs, rows, width);
+                band.fill(|channel, row, out| {
+                    let Some(row) = (first + row).checked_sub(1).filter(|&row| row < height) else {
+                        return;
+                    };
+                    let values = &source[channel * area + row * width..][..width];
+                    if rectify {
+                        out.iter_mut()
+                            .zip(values)
+                            .for_each(|(out, &value)| *out = value.max(0.0));
+                    } else {
+                        out.copy_from_slice(values);
+                    }
+                });
+                self.band(&band, planes);
+                for (channel, values) in planes.iter_mut().enumerate() {
+                    finish((image * self.outputs + channel) * area + first * width, values);
                 }
-            });
-            let mut sums = self.band(&band);
-            self.finish(&mut sums, after, residual, (image, first, rows), [height, width]);
-            sums
-        })
+            },
+        )
     }
 
-    fn finish(
-        &self,
-        sums: &mut [f32],
-        after: Activation,
-        residual: Option<&[f32]>,
-        (image, first, count): (usize, usize, usize),
-        [height, width]: [usize; 2],
-    ) {
-        let area = height * width;
-        for (channel, values) in sums.chunks_exact_mut(count * width).take(self.outputs).enumerate() {
-            if after == Activation::Relu {
-                values.iter_mut().for_each(|value| *value = value.max(0.0));
-            }
-            if let Some(residual) = residual {
-                let start = (image * self.outputs + channel) * area + first * width;
-                values
-                    .iter_mut()
-                    .zip(&residual[start..])
-                    .for_each(|(value, &other)| *value += other.max(0.0));
-            }
-        }
-    }
-
-    /// Convolves one band. Returns `[out rounded up to tiles, rows, width]`.
-    pub(crate) fn band(&self, band: &Band) -> Vec<f32> {
-        let tiles = self.bias.len() / TILE;
-        let [rows, width] = band.size();
-        let mut sums = vec![0.0f32; tiles * TILE * rows * width];
+    /// Convolves one band into the rows of every output.
+    pub(crate) fn band(&self, band: &Band, planes: &mut [&mut [f32]]) {
         match &self.weights {
             Weights::Single(weights) => Arch::new().dispatch(BandKernel {
                 weights,
                 conv: self,
                 band,
-                sums: &mut sums,
+                planes,
             }),
-            Weights::Pairs(weights) => pairs::band(weights, &self.bias, band, &mut sums),
+            Weights::Pairs(weights) => pairs::band(weights, &self.bias, band, planes),
         }
-        sums
     }
 }
 
-struct BandKernel<'a> {
+struct BandKernel<'a, 'p> {
     weights: &'a [f32],
     conv: &'a Conv3x3,
     band: &'a Band,
-    sums: &'a mut [f32],
+    planes: &'a mut [&'p mut [f32]],
 }
 
-impl WithSimd for BandKernel<'_> {
+impl WithSimd for BandKernel<'_, '_> {
     type Output = ();
 
     #[inline(always)]
@@ -155,13 +154,15 @@ impl WithSimd for BandKernel<'_> {
             weights,
             conv,
             band,
-            sums,
+            planes,
         } = self;
         let [rows, width] = band.size();
         let vectors = width.div_ceil(S::F32_LANES);
-        let (per_tile, plane) = (conv.inputs * 9 * TILE, rows * width);
-        let (tiles, biases) = (weights.chunks_exact(per_tile), conv.bias.chunks_exact(TILE));
-        for ((weights, bias), out) in tiles.zip(biases).zip(sums.chunks_exact_mut(TILE * plane)) {
+        let (tiles, biases) = (
+            weights.chunks_exact(conv.inputs * 9 * TILE),
+            conv.bias.chunks_exact(TILE),
+        );
+        for ((weights, bias), out) in tiles.zip(biases).zip(planes.chunks_mut(TILE)) {
             for row in 0..rows {
                 let mut first = 0;
                 while first < vectors {
@@ -185,7 +186,7 @@ fn tile<S: Simd, const V: usize>(
     band: &Band,
     weights: &[f32],
     bias: &[f32],
-    out: &mut [f32],
+    out: &mut [&mut [f32]],
     row: usize,
     column: usize,
 ) -> usize {
@@ -208,10 +209,10 @@ fn tile<S: Simd, const V: usize>(
             }
         }
     }
-    let [rows, width] = band.size();
+    let [_, width] = band.size();
     let valid = (width - column).min(span);
-    for (output, sums) in sums.iter().enumerate() {
-        let row = &mut out[(output * rows + row) * width + column..][..valid];
+    for (plane, sums) in out.iter_mut().zip(&sums) {
+        let row = &mut plane[row * width + column..][..valid];
         let mut chunks = row.chunks_mut(S::F32_LANES);
         for &sum in sums {
             if let Some(chunk) = chunks.next() {
@@ -275,7 +276,6 @@ mod tests {
                 &input,
                 [h, w],
                 false,
-                Activation::Nothing,
                 None,
             );
             let expected = plain(&input, &weight, &bias, [inputs, outputs], [h, w]);
@@ -289,11 +289,10 @@ mod tests {
                 &input,
                 [h, w],
                 true,
-                Activation::Relu,
                 Some(&residual),
             );
             for ((a, b), r) in found.iter().zip(&expected).zip(&residual) {
-                assert!((a - (b.max(0.0) + r.max(0.0))).abs() < 1e-4);
+                assert!((a - (b + r.max(0.0))).abs() < 1e-4);
             }
         }
     }

@@ -18,7 +18,7 @@ mod weight_pairs;
 mod weight_tile;
 mod winograd;
 
-pub use direct::{Activation, Conv3x3};
+pub use direct::Conv3x3;
 pub use patches::Conv;
 pub use tail::DenseTail;
 pub use weight_gradient::{Maps, weight_gradient};

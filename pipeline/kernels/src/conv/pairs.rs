@@ -53,13 +53,13 @@ impl Pairs {
     }
 }
 
-/// Convolves one band; `sums` is `[out rounded up to tiles, rows, width]`.
-pub(crate) fn band(weights: &[u32], bias: &[f32], band: &Band, sums: &mut [f32]) {
+/// Convolves one band into the rows of every output.
+pub(crate) fn band(weights: &[u32], bias: &[f32], band: &Band, planes: &mut [&mut [f32]]) {
     let [rows, width] = band.size();
     let map = Pairs::new(band);
     let pairs = map.values.len() / map.plane.max(1);
     let (tiles, biases) = (weights.chunks_exact(pairs * TAPS * TILE), bias.chunks_exact(TILE));
-    for ((weights, bias), out) in tiles.zip(biases).zip(sums.chunks_exact_mut(TILE * rows * width)) {
+    for ((weights, bias), out) in tiles.zip(biases).zip(planes.chunks_mut(TILE)) {
         for row in 0..rows {
             let mut column = 0;
             while column < width {
@@ -67,9 +67,9 @@ pub(crate) fn band(weights: &[u32], bias: &[f32], band: &Band, sums: &mut [f32])
                 // 4 = 2 + 2 keeps more sums in flight than 3 + 1.
                 column += LANES
                     * match (width - column).div_ceil(LANES) {
-                        1 => store::<1>(&tile(&map, weights, bias, place), out, [rows, width], [row, column]),
-                        2 | 4 => store::<2>(&tile(&map, weights, bias, place), out, [rows, width], [row, column]),
-                        _ => store::<3>(&tile(&map, weights, bias, place), out, [rows, width], [row, column]),
+                        1 => store::<1>(&tile(&map, weights, bias, place), out, width, [row, column]),
+                        2 | 4 => store::<2>(&tile(&map, weights, bias, place), out, width, [row, column]),
+                        _ => store::<3>(&tile(&map, weights, bias, place), out, width, [row, column]),
                     };
             }
         }
@@ -79,12 +79,12 @@ pub(crate) fn band(weights: &[u32], bias: &[f32], band: &Band, sums: &mut [f32])
 /// Writes what lies within the width; returns V.
 fn store<const V: usize>(
     sums: &Sums<V>,
-    out: &mut [f32],
-    [rows, width]: [usize; 2],
+    out: &mut [&mut [f32]],
+    width: usize,
     [row, column]: [usize; 2],
 ) -> usize {
-    for (output, sums) in sums.iter().enumerate() {
-        let values = &mut out[(output * rows + row) * width + column..];
+    for (plane, sums) in out.iter_mut().zip(sums) {
+        let values = &mut plane[row * width + column..];
         let valid = (width - column).min(V * LANES);
         for (values, sums) in values[..valid].chunks_mut(LANES).zip(sums) {
             values.copy_from_slice(&sums[..values.len()]);
@@ -196,7 +196,7 @@ mod x86 {
 mod tests {
     use super::*;
     use crate::noise::noise;
-    use crate::{Activation, Conv3x3, Precision};
+    use crate::{Conv3x3, Precision};
 
     #[test]
     fn equals_the_f32_kernel_on_rounded_numbers() {
@@ -215,7 +215,7 @@ mod tests {
             let (weight, bias) = (rounded(noise(outputs * inputs * TAPS, 2)), noise(outputs, 3));
             let run = |precision| {
                 let conv = Conv3x3::new(&weight, &bias, outputs, inputs, precision);
-                conv.run(&input, [height, width], false, Activation::Nothing, None)
+                conv.run(&input, [height, width], false, None)
             };
             for (a, b) in run(Precision::Bf16).iter().zip(run(Precision::F32)) {
                 assert!(

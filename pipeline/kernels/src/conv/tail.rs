@@ -28,7 +28,7 @@ impl DenseTail {
         let images = input.len() / small.max(1);
         let (down, across) = (Axis::new(rows, height), Axis::new(columns, width));
         let step = band_rows(self.inputs, width);
-        in_bands(images, outputs, [height, width], step, |image, first, count| {
+        in_bands(images, outputs, [height, width], step, |image, first, count, planes| {
             let source = &input[image * small..][..small];
             let mut band = Band::new(self.inputs, count, width);
             let mut blended = vec![0.0f32; columns];
@@ -53,13 +53,13 @@ impl DenseTail {
                     *out = a + share * (b - a);
                 }
             });
-            let sums = self.first.band(&band);
             let pixels = count * width;
-            let mut result = vec![0.0f32; outputs * pixels];
+            let mut sums = vec![0.0f32; hidden * pixels];
+            self.first.band(&band, &mut sums.chunks_exact_mut(pixels.max(1)).collect::<Vec<_>>());
             vectorised(
                 #[inline(always)]
                 || {
-                    for (output, &bias) in result.chunks_exact_mut(pixels).zip(&self.bias) {
+                    for (output, &bias) in planes.iter_mut().zip(&self.bias) {
                         output.fill(bias);
                     }
                     let mut rectified = vec![0.0f32; pixels];
@@ -69,7 +69,7 @@ impl DenseTail {
                         for ((out, &sum), &map) in rectified.iter_mut().zip(sums).zip(map) {
                             *out = (sum + map).max(0.0);
                         }
-                        for (output, weights) in result.chunks_exact_mut(pixels).zip(self.second.chunks_exact(hidden)) {
+                        for (output, weights) in planes.iter_mut().zip(self.second.chunks_exact(hidden)) {
                             let weight = weights[channel];
                             for (out, &value) in output.iter_mut().zip(&rectified) {
                                 *out = weight.mul_add(value, *out);
@@ -78,7 +78,6 @@ impl DenseTail {
                     }
                 },
             );
-            result
         })
     }
 }

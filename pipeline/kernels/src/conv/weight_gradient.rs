@@ -12,8 +12,12 @@ use crate::Precision;
 
 /// Numbers of the widest vector of any instruction set, for padding.
 const MAX_LANES: usize = 32;
+/// Numbers of a vector that images in a row should fill.
+const LANES: usize = 16;
 /// Tiles of a task.
 const TILES: usize = 8;
+/// Pixels that are summed in one go in f32, as far as one image has not more.
+const PIXELS: usize = 4096;
 
 /// Sizes of a call.
 #[derive(Debug, Clone, Copy)]
@@ -26,30 +30,37 @@ pub struct Maps {
     pub height: usize,
     /// Columns.
     pub width: usize,
+    /// Whether the input goes through a ReLU first.
+    pub rectify: bool,
     /// Numbers that products are made of.
     pub products: Precision,
 }
 
-/// Sums over images and pixels, image by image. `gradient [B, out, H, W]`, `input [B, in, H, W]`; `[out, in, 3, 3]`
+/// Sums over images and pixels: those of small images in one go, then group by group. `gradient [B, out, H, W]`,
+/// `input [B, in, H, W]`; `[out, in, 3, 3]`
 pub fn weight_gradient(gradient: &[f32], input: &[f32], maps: Maps) -> Vec<f32> {
     let Maps { inputs, outputs, .. } = maps;
     let area = maps.height * maps.width;
     let mut sums = vec![0.0f64; outputs * inputs * SIDE * SIDE];
-    let images = gradient
-        .chunks_exact((outputs * area).max(1))
-        .zip(input.chunks_exact((inputs * area).max(1)));
+    let images = gradient.len() / (outputs * area).max(1);
+    let groups = images.div_ceil((PIXELS / area.max(1)).max(1));
     let across = inputs.div_ceil(INPUTS);
-    for (gradient, input) in images {
+    for group in 0..groups {
+        let group = group * images / groups..(group + 1) * images / groups;
+        let sheet = Sheet::new(group.len(), [maps.height, maps.width]);
+        let of = |channels: usize| group.start * channels * area..group.end * channels * area;
+        let (gradient, input) = (&gradient[of(outputs)], &input[of(inputs)]);
+        let seen = |value: f32| if maps.rectify { value.max(0.0) } else { value };
         let tiles = match maps.products {
             Precision::F32 => {
-                let padded = |image, margin| Padded::new(image, maps, margin, |value| value);
-                tiles(&padded(gradient, 0), &padded(input, 1), maps, |tile| {
-                    Arch::new().dispatch(tile)
-                })
+                let gradient = Padded::new(gradient, outputs, &sheet, 0, |value| value);
+                let input = Padded::new(input, inputs, &sheet, 1, seen);
+                tiles(&gradient, &input, maps, &sheet, |tile| Arch::new().dispatch(tile))
             }
             Precision::Bf16 => {
-                let padded = |image, margin| Padded::new(image, maps, margin, weight_pairs::number);
-                tiles(&padded(gradient, 0), &padded(input, 1), maps, weight_pairs::sums)
+                let gradient = Padded::new(gradient, outputs, &sheet, 0, weight_pairs::number);
+                let input = Padded::new(input, inputs, &sheet, 1, |value| weight_pairs::number(seen(value)));
+                tiles(&gradient, &input, maps, &sheet, weight_pairs::sums)
             }
         };
         for (tile, values) in tiles.iter().enumerate() {
@@ -71,11 +82,38 @@ pub fn weight_gradient(gradient: &[f32], input: &[f32], maps: Maps) -> Vec<f32> 
     sums.into_iter().map(|sum| sum as f32).collect()
 }
 
-/// The sums of all tiles of an image.
+/// Images side by side and below each other, with a row or a column of zeros between them: one larger image, whose sums are
+/// those of all.
+struct Sheet {
+    /// Rows and columns of an image.
+    image: [usize; 2],
+    /// Images in a row.
+    across: usize,
+    /// Rows and columns of all.
+    size: [usize; 2],
+}
+
+impl Sheet {
+    /// As many images in a row as fill vectors best.
+    fn new(images: usize, image: [usize; 2]) -> Self {
+        let [height, width] = image;
+        let columns = |across: usize| across * (width + 1) - 1;
+        let vectors = |across: usize| images.div_ceil(across) * columns(across).div_ceil(LANES);
+        let across = (1..=images).min_by_key(|&across| vectors(across)).unwrap_or(1);
+        Self {
+            image,
+            across,
+            size: [images.div_ceil(across) * (height + 1) - 1, columns(across)],
+        }
+    }
+}
+
+/// The sums of all tiles of a sheet.
 fn tiles<T: Sync>(
     gradient: &Padded<T>,
     input: &Padded<T>,
     maps: Maps,
+    sheet: &Sheet,
     sums: impl Fn(Tile<'_, T>) -> Sums + Sync,
 ) -> Vec<Sums> {
     let Maps { inputs, outputs, .. } = maps;
@@ -91,13 +129,13 @@ fn tiles<T: Sync>(
                 input: std::array::from_fn(|k| input.plane((first[1] + k).min(inputs - 1))),
                 strides: [gradient.stride, input.stride],
                 row: tile % SIDE,
-                size: [maps.height, maps.width],
+                size: sheet.size,
             })
         })
         .collect()
 }
 
-/// The planes of an image with zeros around: `margin` rows and columns, and what whole vectors read beyond the last column.
+/// The planes of a sheet with zeros around: `margin` rows and columns, and what whole vectors read beyond the last column.
 struct Padded<T> {
     values: Vec<T>,
     plane: usize,
@@ -105,18 +143,30 @@ struct Padded<T> {
 }
 
 impl<T: Copy + Default + Send> Padded<T> {
-    fn new(image: &[f32], maps: Maps, margin: usize, number: impl Fn(f32) -> T + Sync) -> Self {
-        let Maps { height, width, .. } = maps;
-        let stride = width.next_multiple_of(MAX_LANES) + 2 * margin;
-        let plane = (height + 2 * margin) * stride;
-        let mut values = vec![T::default(); image.len() / (height * width).max(1) * plane];
+    /// `images [B, channels, H, W]`
+    fn new(
+        images: &[f32],
+        channels: usize,
+        sheet: &Sheet,
+        margin: usize,
+        number: impl Fn(f32) -> T + Sync,
+    ) -> Self {
+        let ([height, width], [rows, columns]) = (sheet.image, sheet.size);
+        let stride = columns.next_multiple_of(MAX_LANES) + 2 * margin;
+        let plane = (rows + 2 * margin) * stride;
+        let mut values = vec![T::default(); channels * plane];
         values
             .par_chunks_mut(plane.max(1))
-            .zip(image.par_chunks((height * width).max(1)))
-            .for_each(|(out, image)| {
-                let rows = out.chunks_exact_mut(stride).skip(margin);
-                for (out, row) in rows.zip(image.chunks_exact(width.max(1))) {
-                    (out[margin..].iter_mut().zip(row)).for_each(|(out, &value)| *out = number(value));
+            .enumerate()
+            .for_each(|(channel, plane)| {
+                let images = images.chunks_exact((height * width).max(1)).skip(channel).step_by(channels);
+                for (image, values) in images.enumerate() {
+                    let (row, column) = (image / sheet.across * (height + 1), image % sheet.across * (width + 1));
+                    let rows = plane.chunks_exact_mut(stride).skip(margin + row);
+                    for (out, values) in rows.zip(values.chunks_exact(width.max(1))) {
+                        let out = out[margin + column..].iter_mut();
+                        out.zip(values).for_each(|(out, &value)| *out = number(value));
+                    }
                 }
             });
         Self { values, plane, stride }

@@ -4,21 +4,30 @@
 use std::sync::Arc;
 
 use burn::tensor::Tensor;
+use rayon::prelude::*;
 
 use super::node::{HostOperation, node};
-use rogs_kernels::{Activation, Conv3x3, Maps, Precision, weight_gradient};
+use rogs_kernels::lanes;
+use rogs_kernels::{Conv3x3, Maps, Precision, weight_gradient};
 
 /// Taps of a kernel.
 const TAPS: usize = 9;
 
-/// Convolves. `input [B, in, H, W]`, `weight [out, in, 3, 3]`, `bias [out]`
-pub fn convolve(input: Tensor<4>, weight: Tensor<4>, bias: Tensor<1>, products: Precision) -> Tensor<4> {
+/// Convolves the input, or its positive part if `rectify`. `input [B, in, H, W]`, `weight [out, in, 3, 3]`, `bias [out]`
+pub fn convolve(
+    input: Tensor<4>,
+    weight: Tensor<4>,
+    bias: Tensor<1>,
+    rectify: bool,
+    products: Precision,
+) -> Tensor<4> {
     let ([images, inputs, height, width], [outputs, ..]) = (input.dims(), weight.dims());
     let maps = Maps {
         inputs,
         outputs,
         height,
         width,
+        rectify,
         products,
     };
     let inputs = [input.into_dispatch(), weight.into_dispatch(), bias.into_dispatch()];
@@ -28,27 +37,27 @@ pub fn convolve(input: Tensor<4>, weight: Tensor<4>, bias: Tensor<1>, products: 
 impl HostOperation<3> for Maps {
     fn forward(&self, [input, weight, bias]: [&[f32]; 3]) -> Vec<f32> {
         let conv = Conv3x3::new(weight, bias, self.outputs, self.inputs, self.products);
-        conv.run(input, [self.height, self.width], false, Activation::Nothing, None)
+        let size = [self.height, self.width];
+        conv.run(input, size, self.rectify, None)
     }
 
     fn backward(&self, gradient: &[f32], [input, weight, _]: [&[f32]; 3], wanted: [bool; 3]) -> [Option<Vec<f32>>; 3] {
+        let size = [self.height, self.width];
         let of_input = wanted[0].then(|| {
-            let conv = Conv3x3::new(
-                &turned(weight, self.inputs, self.outputs),
-                &[],
-                self.inputs,
-                self.outputs,
-                self.products,
-            );
-            conv.run(gradient, [self.height, self.width], false, Activation::Nothing, None)
+            let turned = turned(weight, self.inputs, self.outputs);
+            let conv = Conv3x3::new(&turned, &[], self.inputs, self.outputs, self.products);
+            if self.rectify {
+                conv.run_gated(gradient, size, input)
+            } else {
+                conv.run(gradient, size, false, None)
+            }
         });
         let of_weight = wanted[1].then(|| weight_gradient(gradient, input, *self));
         let of_bias = wanted[2].then(|| {
-            let mut sums = vec![0.0f64; self.outputs];
-            for (plane, values) in gradient.chunks_exact((self.height * self.width).max(1)).enumerate() {
-                sums[plane % self.outputs] += values.iter().map(|&value| f64::from(value)).sum::<f64>();
-            }
-            sums.into_iter().map(|sum| sum as f32).collect()
+            let area = (self.height * self.width).max(1);
+            let planes: Vec<f64> = gradient.par_chunks_exact(area).map(lanes::total).collect();
+            let of = |output: usize| planes.iter().skip(output).step_by(self.outputs).sum::<f64>() as f32;
+            (0..self.outputs).map(of).collect()
         });
         [of_input, of_weight, of_bias]
     }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use burn::tensor::Tensor;
 
 use super::node::{HostOperation, node};
+use rogs_kernels::lanes;
 use rogs_kernels::pointwise::add_assign;
 use rogs_kernels::{Matrix, PackedWeight, Precision};
 
@@ -55,11 +56,7 @@ impl HostOperation<3> for Layer {
         });
         let of_bias = wanted[2].then(|| {
             let mut sums = vec![0.0f64; outputs];
-            for row in gradient.chunks_exact(outputs) {
-                sums.iter_mut()
-                    .zip(row)
-                    .for_each(|(sum, &value)| *sum += f64::from(value));
-            }
+            lanes::add_rows(gradient, &mut sums);
             sums.into_iter().map(|sum| sum as f32).collect()
         });
         [of_input, of_weight, of_bias]

@@ -48,12 +48,15 @@ fn convolutions_equal_those_of_the_framework() {
         let input = noise([images, inputs, height, width], 1);
         let (weight, bias) = (noise([outputs, inputs, 3, 3], 2), noise([outputs], 3));
         assert!(usable(&input) && usable(&weight));
-        let options = ConvOptions::new([1, 1], [1, 1], [1, 1], 1);
-        same(
-            convolve(input.clone(), weight.clone(), bias.clone(), Precision::F32),
-            module::conv2d(input.clone(), weight.clone(), Some(bias.clone()), options),
-            &[("input", &of(&input)), ("weight", &of(&weight)), ("bias", &of(&bias))],
-        );
+        for rectify in [false, true] {
+            let options = ConvOptions::new([1, 1], [1, 1], [1, 1], 1);
+            let seen = if rectify { activation::relu(input.clone()) } else { input.clone() };
+            same(
+                convolve(input.clone(), weight.clone(), bias.clone(), rectify, Precision::F32),
+                module::conv2d(seen, weight.clone(), Some(bias.clone()), options),
+                &[("input", &of(&input)), ("weight", &of(&weight)), ("bias", &of(&bias))],
+            );
+        }
     }
 }
 
@@ -110,7 +113,7 @@ fn products_of_bfloat16_equal_those_of_f32_on_its_own_numbers() {
         let input = coarse([images, inputs, height, width], 1);
         let (weight, bias) = (coarse([outputs, inputs, 3, 3], 2), coarse([outputs], 3));
         both(
-            |products| convolve(input.clone(), weight.clone(), bias.clone(), products),
+            |products| convolve(input.clone(), weight.clone(), bias.clone(), true, products),
             &[("input", &of(&input)), ("weight", &of(&weight)), ("bias", &of(&bias))],
         );
     }

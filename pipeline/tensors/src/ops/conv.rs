@@ -4,7 +4,7 @@ use std::sync::{Arc, OnceLock};
 
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Tensor, module};
-use rogs_kernels::{Activation, Conv3x3, Matrix, PackedWeight, Precision, TileSize, Winograd};
+use rogs_kernels::{Conv3x3, Matrix, PackedWeight, Precision, TileSize, Winograd};
 
 use super::relu;
 use crate::parameters::{Scope, from_host};
@@ -69,48 +69,49 @@ impl Conv {
     #[must_use]
     pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
         if self.has_kernel(&input) {
-            self.by_kernel(&input, false, Activation::Nothing, None)
+            self.by_kernel(&input, false, None)
         } else {
-            self.plain(input)
+            self.plain(input, false)
         }
     }
 
-    /// relu(conv(relu(x))).
+    /// conv(relu(x)).
     #[must_use]
-    pub fn forward_rectified(&self, input: Tensor<4>) -> Tensor<4> {
+    pub fn forward_of_relu(&self, input: Tensor<4>) -> Tensor<4> {
         if self.has_kernel(&input) {
-            self.by_kernel(&input, true, Activation::Relu, None)
+            self.by_kernel(&input, true, None)
         } else {
-            relu(self.plain(relu(input)))
+            self.plain(input, true)
         }
     }
 
-    /// conv(x) + relu(r), for a convolution that keeps the size.
+    /// conv(relu(x)) + relu(r), for a convolution that keeps the size.
     #[must_use]
-    pub fn forward_onto(&self, input: Tensor<4>, residual: Tensor<4>) -> Tensor<4> {
+    pub fn forward_of_relu_onto(&self, input: Tensor<4>, residual: Tensor<4>) -> Tensor<4> {
         if self.has_kernel(&input) && host::usable(&residual) {
-            host::with_values(&residual, |residual| {
-                self.by_kernel(&input, false, Activation::Nothing, Some(residual))
-            })
+            host::with_values(&residual, |residual| self.by_kernel(&input, true, Some(residual)))
         } else {
-            self.plain(input) + relu(residual)
+            self.plain(input, true) + relu(residual)
         }
     }
 
-    fn plain(&self, input: Tensor<4>) -> Tensor<4> {
+    /// The convolution of the input, or of its positive part if `rectify`.
+    fn plain(&self, input: Tensor<4>, rectify: bool) -> Tensor<4> {
         let [outputs, inputs, size, _] = self.weight.dims();
+        let differentiable = differentiable::usable(&input) && differentiable::usable(&self.weight);
+        if size == 3 && self.stride == 1 && differentiable {
+            let bias = self
+                .bias
+                .clone()
+                .unwrap_or_else(|| Tensor::zeros([outputs], &input.device()));
+            return differentiable::convolve(input, self.weight.clone(), bias, rectify, self.products);
+        }
+        let input = if rectify { relu(input) } else { input };
         if host::usable(&input) && host::usable(&self.weight) {
             return self.by_patches(&input);
         }
         if size == 1 && self.stride == 1 {
             return self.pointwise(input, outputs, inputs);
-        }
-        if size == 3 && self.stride == 1 && differentiable::usable(&input) && differentiable::usable(&self.weight) {
-            let bias = self
-                .bias
-                .clone()
-                .unwrap_or_else(|| Tensor::zeros([outputs], &input.device()));
-            return differentiable::convolve(input, self.weight.clone(), bias, self.products);
         }
         let options = ConvOptions::new([self.stride; 2], [self.padding; 2], [1, 1], 1);
         module::conv2d(input, self.weight.clone(), self.bias.clone(), options)
@@ -168,7 +169,7 @@ impl Conv {
     }
 
     /// Runs the kernel: by Winograd's algorithm where that pays, else directly.
-    fn by_kernel(&self, input: &Tensor<4>, rectify: bool, after: Activation, residual: Option<&[f32]>) -> Tensor<4> {
+    fn by_kernel(&self, input: &Tensor<4>, rectify: bool, residual: Option<&[f32]>) -> Tensor<4> {
         let [images, inputs, height, width] = input.dims();
         let (size, outputs) = ([height, width], self.weight.dims()[0]);
         let bias = || self.host_bias();
@@ -185,11 +186,11 @@ impl Conv {
             .then(|| self.tiled.get_or_init(tiled).as_ref())
             .flatten();
         let values = host::with_values(input, |input| match tiled {
-            Some(conv) => conv.run(input, size, rectify, after, residual),
+            Some(conv) => conv.run(input, size, rectify, residual),
             None => self
                 .packed
                 .get_or_init(direct)
-                .run(input, size, rectify, after, residual),
+                .run(input, size, rectify, residual),
         });
         from_host(values, [images, outputs, height, width], &input.device())
     }

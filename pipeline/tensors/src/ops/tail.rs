@@ -3,10 +3,10 @@
 use std::sync::{Arc, OnceLock};
 
 use burn::tensor::Tensor;
-use rogs_kernels::{Activation, Conv3x3, DenseTail as Kernel, Precision};
+use rogs_kernels::{Conv3x3, DenseTail as Kernel, Precision};
 
 use super::conv::Conv;
-use super::{relu, resize};
+use super::resize;
 use crate::parameters::{Scope, from_host};
 use crate::{Result, host};
 
@@ -35,7 +35,7 @@ impl DenseTail {
     /// The convolutions. `[B, inputs, H, W] -> [B, outputs, H, W]`
     #[must_use]
     pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
-        self.second.forward(relu(self.first.forward(input)))
+        self.second.forward_of_relu(self.first.forward(input))
     }
 
     /// The convolutions on the map resized to `[H, W]`, with position maps added where there are any: in one pass where there
@@ -87,7 +87,7 @@ impl DenseTail {
         let first = host::with_values(&self.first.weight, new);
         let mut map = match positions {
             Some(positions) => host::with_values(&positions(), |positions| {
-                first.run(positions, size, false, Activation::Nothing, None)
+                first.run(positions, size, false, None)
             }),
             None => vec![0.0; hidden * area],
         };

@@ -23,7 +23,6 @@ use rayon::prelude::*;
 use self::tiles::{Inputs, Map, Outputs, Window, Write};
 use self::tiling::{Four, Tiling, Two};
 use self::weights::{lines, transformed};
-use super::Activation;
 use crate::product::product;
 use crate::tile::{COLUMNS, Line, resized};
 use crate::transpose::transposed;
@@ -93,7 +92,6 @@ impl Winograd {
         input: &[f32],
         size: [usize; 2],
         rectify: bool,
-        after: Activation,
         residual: Option<&[f32]>,
     ) -> Vec<f32> {
         let area = size[0] * size[1];
@@ -109,13 +107,13 @@ impl Winograd {
             };
             self.convolve(&map, size, &mut sums, Write::Set);
             let residual = residual.map(|residual| &residual[image * result.len()..][..result.len()]);
-            self.finish(&sums, result, area, after, residual);
+            self.finish(&sums, result, area, residual);
         }
         result
     }
 
     /// The sums of an image as planes, and what comes after. `[area, out] -> [out, area]`
-    fn finish(&self, sums: &[f32], result: &mut [f32], area: usize, after: Activation, residual: Option<&[f32]>) {
+    fn finish(&self, sums: &[f32], result: &mut [f32], area: usize, residual: Option<&[f32]>) {
         const PLANES: usize = 16;
         result
             .par_chunks_mut(PLANES * area)
@@ -126,9 +124,6 @@ impl Winograd {
                     for (channel, sum) in sums[first..].iter().take(planes.len() / area).enumerate() {
                         planes[channel * area + pixel] = *sum;
                     }
-                }
-                if after == Activation::Relu {
-                    planes.iter_mut().for_each(|value| *value = value.max(0.0));
                 }
                 if let Some(residual) = residual {
                     let residual = &residual[first * area..];
