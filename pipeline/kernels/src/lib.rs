@@ -38,7 +38,7 @@ mod vectorised;
 
 pub use attention::{Head, PackedAttention};
 pub use axis::Axis;
-pub use conv::{Conv, Conv3x3, DenseTail, Maps, TileSize, Winograd, weight_gradient};
+pub use conv::{Conv, Conv3x3, DenseTail, Maps, Pointwise, TileSize, Winograd, pointwise_gradient, weight_gradient};
 pub use cubic::{CubicTaps, cubic_taps};
 pub use feature_map::{FeatureMap, add_resized};
 pub use layers::{LayerNorm, Linear, ROWS_PER_PIECE};

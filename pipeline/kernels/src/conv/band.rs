@@ -1,6 +1,7 @@
 //! The input rows of a band of a convolution's output rows, and the tile that both instruction paths sum over it.
 
 use std::cell::Cell;
+use std::ops::Range;
 
 use rayon::prelude::*;
 
@@ -16,29 +17,59 @@ thread_local! {
     static SCRATCH: Cell<Vec<f32>> = const { Cell::new(Vec::new()) };
 }
 
-/// Computes bands of rows of planar images side by side. `compute(image, first row, rows, planes)` fills the rows of every
-/// channel; the result is `[images, channels, height, width]`. `step` is the number of rows of a band.
-pub(crate) fn in_bands(
-    images: usize,
-    channels: usize,
-    [height, width]: [usize; 2],
-    step: usize,
-    compute: impl Fn(usize, usize, usize, &mut [&mut [f32]]) + Sync,
-) -> Vec<f32> {
-    let (area, bands) = (height * width, height.div_ceil(step));
-    let mut output = vec![0.0f32; images * channels * area];
-    let mut tasks: Vec<Vec<&mut [f32]>> = Vec::new();
-    tasks.resize_with(images * bands, || Vec::with_capacity(channels));
-    for (plane, values) in output.chunks_exact_mut(area.max(1)).enumerate() {
-        for (band, rows) in values.chunks_mut((step * width).max(1)).enumerate() {
-            tasks[plane / channels * bands + band].push(rows);
+/// Planar images that are worked on band by band.
+pub(crate) struct Bands {
+    /// Images.
+    pub(crate) images: usize,
+    /// Channels of the result.
+    pub(crate) channels: usize,
+    /// Rows and columns of an image.
+    pub(crate) size: [usize; 2],
+    /// Rows of a band.
+    pub(crate) rows: usize,
+    /// Images that go together, side by side.
+    pub(crate) across: usize,
+}
+
+impl Bands {
+    /// Computes all bands side by side. `compute(images, rows, planes)` fills the rows of every channel of the first image,
+    /// then of the next; the result is `[images, channels, height, width]`.
+    pub(crate) fn run(&self, compute: impl Fn(Range<usize>, Range<usize>, &mut [&mut [f32]]) + Sync) -> Vec<f32> {
+        let &Self {
+            images,
+            channels,
+            size: [height, width],
+            rows,
+            across,
+        } = self;
+        let (area, bands) = (height * width, height.div_ceil(rows));
+        let mut output = vec![0.0f32; images * channels * area];
+        let mut tasks: Vec<Vec<&mut [f32]>> = Vec::new();
+        tasks.resize_with(images.div_ceil(across) * bands, || Vec::with_capacity(across * channels));
+        for (plane, values) in output.chunks_exact_mut(area.max(1)).enumerate() {
+            for (band, rows) in values.chunks_mut((rows * width).max(1)).enumerate() {
+                tasks[plane / channels / across * bands + band].push(rows);
+            }
         }
+        tasks.into_par_iter().enumerate().for_each(|(task, mut planes)| {
+            let (image, row) = (task / bands * across, task % bands * rows);
+            compute(
+                image..images.min(image + across),
+                row..height.min(row + rows),
+                &mut planes,
+            );
+        });
+        output
     }
-    tasks.into_par_iter().enumerate().for_each(|(task, mut planes)| {
-        let first = task % bands * step;
-        compute(task / bands, first, step.min(height - first), &mut planes);
-    });
-    output
+}
+
+/// How many images of a width side by side, with a column between them, fill vectors best.
+pub(crate) fn across(images: usize, width: usize) -> usize {
+    /// Columns from which the last vector of a row hardly matters.
+    const WIDE: usize = 128;
+    let vectors = |across: usize| images.div_ceil(across) * (across * (width + 1) - 1).div_ceil(MAX_LANES);
+    let most = images.min(WIDE / width.max(1)).max(1);
+    (1..=most).min_by_key(|&across| vectors(across)).unwrap_or(1)
 }
 
 /// Rows of a band: the buffer of the inputs should fit the second-level cache.

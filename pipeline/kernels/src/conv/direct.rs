@@ -5,7 +5,7 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::band::{Band, TILE, band_rows, in_bands};
+use super::band::{Band, Bands, TILE, across, band_rows};
 use super::pairs;
 use crate::Precision;
 
@@ -94,20 +94,24 @@ impl Conv3x3 {
     ) -> Vec<f32> {
         let area = height * width;
         let images = input.len() / (self.inputs * area).max(1);
-        let step = band_rows(self.inputs, width);
-        in_bands(
+        let across = across(images, width);
+        let bands = Bands {
             images,
-            self.outputs,
-            [height, width],
-            step,
-            |image, first, rows, planes| {
-                let source = &input[image * self.inputs * area..][..self.inputs * area];
-                let mut band = Band::new(self.inputs, rows, width);
-                band.fill(|channel, row, out| {
-                    let Some(row) = (first + row).checked_sub(1).filter(|&row| row < height) else {
-                        return;
-                    };
-                    let values = &source[channel * area + row * width..][..width];
+            channels: self.outputs,
+            size: [height, width],
+            rows: band_rows(self.inputs, across * (width + 1) - 1),
+            across,
+        };
+        bands.run(|images, rows, planes| {
+            let of_image = self.inputs * area;
+            let mut band = Band::new(self.inputs, rows.len(), images.len() * (width + 1) - 1);
+            band.fill(|channel, row, out| {
+                let Some(row) = (rows.start + row).checked_sub(1).filter(|&row| row < height) else {
+                    return;
+                };
+                for (image, out) in images.clone().zip(out.chunks_mut(width + 1)) {
+                    let values = &input[image * of_image + channel * area + row * width..][..width];
+                    let out = &mut out[..width];
                     if rectify {
                         out.iter_mut()
                             .zip(values)
@@ -115,13 +119,33 @@ impl Conv3x3 {
                     } else {
                         out.copy_from_slice(values);
                     }
-                });
-                self.band(&band, planes);
-                for (channel, values) in planes.iter_mut().enumerate() {
-                    finish((image * self.outputs + channel) * area + first * width, values);
                 }
-            },
-        )
+            });
+            if images.len() == 1 {
+                self.band(&band, planes);
+            } else {
+                self.apart(&band, width, planes);
+            }
+            let first = (images.start * self.outputs) * area + rows.start * width;
+            for (plane, values) in planes.iter_mut().enumerate() {
+                finish(first + plane * area, values);
+            }
+        })
+    }
+
+    /// Convolves a band of several images side by side into the rows of every output of each.
+    fn apart(&self, band: &Band, width: usize, planes: &mut [&mut [f32]]) {
+        let [rows, columns] = band.size();
+        let mut sums = vec![0.0f32; self.outputs * rows * columns];
+        let mut joined: Vec<&mut [f32]> = sums.chunks_exact_mut((rows * columns).max(1)).collect();
+        self.band(band, &mut joined);
+        for (plane, values) in planes.iter_mut().enumerate() {
+            let (image, output) = (plane / self.outputs, plane % self.outputs);
+            let own = joined[output].chunks_exact(columns.max(1));
+            for (out, sums) in values.chunks_exact_mut(width.max(1)).zip(own) {
+                out.copy_from_slice(&sums[image * (width + 1)..][..width]);
+            }
+        }
     }
 
     /// Convolves one band into the rows of every output.

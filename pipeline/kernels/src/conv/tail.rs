@@ -1,7 +1,7 @@
 //! The last step of a dense head in one pass: bilinear enlargement, 3x3 convolution, a per-pixel bias (which holds the
 //! position map), ReLU, 1x1 convolution. The enlarged map is never held.
 
-use super::band::{Band, band_rows, in_bands};
+use super::band::{Band, Bands, band_rows};
 use super::direct::Conv3x3;
 use crate::{Axis, vectorised};
 
@@ -27,10 +27,16 @@ impl DenseTail {
         let small = self.inputs * rows * columns;
         let images = input.len() / small.max(1);
         let (down, across) = (Axis::new(rows, height), Axis::new(columns, width));
-        let step = band_rows(self.inputs, width);
-        in_bands(images, outputs, [height, width], step, |image, first, count, planes| {
-            let source = &input[image * small..][..small];
-            let mut band = Band::new(self.inputs, count, width);
+        let bands = Bands {
+            images,
+            channels: outputs,
+            size: [height, width],
+            rows: band_rows(self.inputs, width),
+            across: 1,
+        };
+        bands.run(|image, rows_of_band, planes| {
+            let (source, first) = (&input[image.start * small..][..small], rows_of_band.start);
+            let mut band = Band::new(self.inputs, rows_of_band.len(), width);
             let mut blended = vec![0.0f32; columns];
             band.fill(|channel, row, out| {
                 let Some(row) = (first + row).checked_sub(1).filter(|&row| row < height) else {
@@ -53,7 +59,7 @@ impl DenseTail {
                     *out = a + share * (b - a);
                 }
             });
-            let pixels = count * width;
+            let pixels = rows_of_band.len() * width;
             let mut sums = vec![0.0f32; hidden * pixels];
             self.first.band(&band, &mut sums.chunks_exact_mut(pixels.max(1)).collect::<Vec<_>>());
             vectorised(

@@ -6,14 +6,13 @@
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
+use super::band::across;
 use super::weight_pairs;
 use super::weight_tile::{INPUTS, OUTPUTS, SIDE, Sums, Tile};
 use crate::Precision;
 
 /// Numbers of the widest vector of any instruction set, for padding.
 const MAX_LANES: usize = 32;
-/// Numbers of a vector that images in a row should fill.
-const LANES: usize = 16;
 /// Tiles of a task.
 const TILES: usize = 8;
 /// Pixels that are summed in one go in f32, as far as one image has not more.
@@ -97,13 +96,11 @@ impl Sheet {
     /// As many images in a row as fill vectors best.
     fn new(images: usize, image: [usize; 2]) -> Self {
         let [height, width] = image;
-        let columns = |across: usize| across * (width + 1) - 1;
-        let vectors = |across: usize| images.div_ceil(across) * columns(across).div_ceil(LANES);
-        let across = (1..=images).min_by_key(|&across| vectors(across)).unwrap_or(1);
+        let across = across(images, width);
         Self {
             image,
             across,
-            size: [images.div_ceil(across) * (height + 1) - 1, columns(across)],
+            size: [images.div_ceil(across) * (height + 1) - 1, across * (width + 1) - 1],
         }
     }
 }

@@ -20,7 +20,7 @@ use burn::tensor::{DType, Tensor};
 use crate::device::is_cpu;
 
 pub use attention::attention;
-pub use convolution::convolve;
+pub use convolution::{convolve, convolve_pixels};
 pub use gelu::gelu;
 pub use layer_norm::layer_norm;
 pub use linear::linear;

@@ -61,6 +61,23 @@ fn convolutions_equal_those_of_the_framework() {
 }
 
 #[test]
+fn convolutions_of_pixels_equal_those_of_the_framework() {
+    for [images, inputs, outputs, height, width] in [[1, 1, 1, 1, 1], [2, 3, 5, 7, 33], [3, 16, 9, 40, 19]] {
+        let input = noise([images, inputs, height, width], 1);
+        let (weight, bias) = (noise([outputs, inputs, 1, 1], 2), noise([outputs], 3));
+        for rectify in [false, true] {
+            let options = ConvOptions::new([1, 1], [0, 0], [1, 1], 1);
+            let seen = if rectify { activation::relu(input.clone()) } else { input.clone() };
+            same(
+                convolve_pixels(input.clone(), weight.clone(), bias.clone(), rectify),
+                module::conv2d(seen, weight.clone(), Some(bias.clone()), options),
+                &[("input", &of(&input)), ("weight", &of(&weight)), ("bias", &of(&bias))],
+            );
+        }
+    }
+}
+
+#[test]
 fn linear_layers_equal_those_of_the_framework() {
     for [batch, rows, inputs, outputs] in [[1, 1, 1, 1], [2, 7, 33, 40], [3, 150, 64, 200]] {
         let (input, weight, bias) = (

@@ -99,12 +99,13 @@ impl Conv {
     fn plain(&self, input: Tensor<4>, rectify: bool) -> Tensor<4> {
         let [outputs, inputs, size, _] = self.weight.dims();
         let differentiable = differentiable::usable(&input) && differentiable::usable(&self.weight);
-        if size == 3 && self.stride == 1 && differentiable {
-            let bias = self
-                .bias
-                .clone()
-                .unwrap_or_else(|| Tensor::zeros([outputs], &input.device()));
-            return differentiable::convolve(input, self.weight.clone(), bias, rectify, self.products);
+        if [1, 3].contains(&size) && self.stride == 1 && differentiable {
+            let (weight, zeros) = (self.weight.clone(), || Tensor::zeros([outputs], &input.device()));
+            let bias = self.bias.clone().unwrap_or_else(zeros);
+            return match size {
+                1 => differentiable::convolve_pixels(input, weight, bias, rectify),
+                _ => differentiable::convolve(input, weight, bias, rectify, self.products),
+            };
         }
         let input = if rectify { relu(input) } else { input };
         if host::usable(&input) && host::usable(&self.weight) {
