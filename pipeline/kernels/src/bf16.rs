@@ -22,6 +22,12 @@ pub(crate) fn rounded(value: f32) -> u32 {
     if value.is_nan() { (bits >> 16) | 0x40 } else { nearest }
 }
 
+/// A number rounded to bfloat16.
+#[inline(always)]
+pub(crate) fn nearest(value: f32) -> f32 {
+    f32::from_bits(rounded(value) << 16)
+}
+
 /// Rounds a row; where its length is odd the last pair ends with zero.
 pub(crate) fn pack(row: &[f32], out: &mut [u32]) {
     vectorised(

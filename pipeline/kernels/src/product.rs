@@ -115,6 +115,9 @@ impl PackedWeight {
         (result, stride, add): (&mut [f32], usize, bool),
         finish: impl Fn(usize, usize, &mut [f32]),
     ) {
+        if rows.is_empty() {
+            return;
+        }
         let count = self.units.count(self.inputs);
         let strips = rows.len().div_ceil(ROWS);
         let mut scratch = SCRATCH.take();

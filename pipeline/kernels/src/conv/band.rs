@@ -5,6 +5,8 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use crate::{bf16, vectorised};
+
 /// Output channels of a register tile.
 pub(crate) const TILE: usize = 8;
 /// Zero columns left of the image in a band buffer.
@@ -121,6 +123,18 @@ impl Band {
     /// The buffer. `[inputs][rows + 2][stride]`
     pub(crate) fn values(&self) -> &[f32] {
         &self.values
+    }
+
+    /// Rounds all values to bfloat16.
+    pub(crate) fn round(&mut self) {
+        vectorised(
+            #[inline(always)]
+            || {
+                for value in &mut self.values {
+                    *value = bf16::nearest(*value);
+                }
+            },
+        );
     }
 
     /// Fills each input row: `row(channel, index, out)` where index 0 is the row above the band. Rows left alone are zero.

@@ -7,7 +7,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::band::{Band, Bands, TILE, across, band_rows};
 use super::pairs;
-use crate::Precision;
+use crate::{Precision, bf16, bf16_is_fast};
 
 /// Weights laid out for the tiles, and what goes with them.
 #[derive(Debug)]
@@ -24,6 +24,24 @@ enum Weights {
     Single(Vec<f32>),
     /// As [`pairs`] takes them.
     Pairs(Vec<u32>),
+    /// Rounded to bfloat16, of each pair of inputs the second one first: as [`pairs`] sums them, in products of f32.
+    /// `[tiles][pairs of inputs][9][2][TILE]`
+    Rounded(Vec<f32>),
+}
+
+/// Weights for f32 tiles of rounded numbers.
+fn pack_rounded(weight: &[f32], outputs: usize, inputs: usize) -> Vec<f32> {
+    let of_tile = inputs.next_multiple_of(2) * 9 * TILE;
+    let mut weights = vec![0.0; outputs.div_ceil(TILE) * of_tile];
+    for output in 0..outputs {
+        let tile = &mut weights[output / TILE * of_tile..][..of_tile];
+        for (place, &value) in weight[output * inputs * 9..][..inputs * 9].iter().enumerate() {
+            let (input, tap) = (place / 9, place % 9);
+            let half = (input / 2 * 9 + tap) * 2 + 1 - input % 2;
+            tile[half * TILE + output % TILE] = bf16::nearest(value);
+        }
+    }
+    weights
 }
 
 /// Weights for the f32 tiles.
@@ -46,7 +64,8 @@ impl Conv3x3 {
         Self {
             weights: match precision {
                 Precision::F32 => Weights::Single(pack(weight, outputs, inputs)),
-                Precision::Bf16 => Weights::Pairs(pairs::pack(weight, outputs, inputs)),
+                Precision::Bf16 if bf16_is_fast() => Weights::Pairs(pairs::pack(weight, outputs, inputs)),
+                Precision::Bf16 => Weights::Rounded(pack_rounded(weight, outputs, inputs)),
             },
             bias: padded,
             inputs,
@@ -104,9 +123,14 @@ impl Conv3x3 {
         };
         bands.run(|images, rows, planes| {
             let of_image = self.inputs * area;
-            let mut band = Band::new(self.inputs, rows.len(), images.len() * (width + 1) - 1);
+            let channels = match self.weights {
+                Weights::Single(_) => self.inputs,
+                Weights::Pairs(_) | Weights::Rounded(_) => self.inputs.next_multiple_of(2),
+            };
+            let mut band = Band::new(channels, rows.len(), images.len() * (width + 1) - 1);
             band.fill(|channel, row, out| {
-                let Some(row) = (rows.start + row).checked_sub(1).filter(|&row| row < height) else {
+                let inside = |row: &usize| *row < height && channel < self.inputs;
+                let Some(row) = (rows.start + row).checked_sub(1).filter(inside) else {
                     return;
                 };
                 for (image, out) in images.clone().zip(out.chunks_mut(width + 1)) {
@@ -121,6 +145,9 @@ impl Conv3x3 {
                     }
                 }
             });
+            if let Weights::Rounded(_) = self.weights {
+                band.round();
+            }
             if images.len() == 1 {
                 self.band(&band, planes);
             } else {
@@ -151,7 +178,13 @@ impl Conv3x3 {
     /// Convolves one band into the rows of every output.
     pub(crate) fn band(&self, band: &Band, planes: &mut [&mut [f32]]) {
         match &self.weights {
-            Weights::Single(weights) => Arch::new().dispatch(BandKernel {
+            Weights::Single(weights) => Arch::new().dispatch(BandKernel::<false> {
+                weights,
+                conv: self,
+                band,
+                planes,
+            }),
+            Weights::Rounded(weights) => Arch::new().dispatch(BandKernel::<true> {
                 weights,
                 conv: self,
                 band,
@@ -162,14 +195,15 @@ impl Conv3x3 {
     }
 }
 
-struct BandKernel<'a, 'p> {
+/// `PAIRED`: two inputs at a time, the second one first.
+struct BandKernel<'a, 'p, const PAIRED: bool> {
     weights: &'a [f32],
     conv: &'a Conv3x3,
     band: &'a Band,
     planes: &'a mut [&'p mut [f32]],
 }
 
-impl WithSimd for BandKernel<'_, '_> {
+impl<const PAIRED: bool> WithSimd for BandKernel<'_, '_, PAIRED> {
     type Output = ();
 
     #[inline(always)]
@@ -182,10 +216,8 @@ impl WithSimd for BandKernel<'_, '_> {
         } = self;
         let [rows, width] = band.size();
         let vectors = width.div_ceil(S::F32_LANES);
-        let (tiles, biases) = (
-            weights.chunks_exact(conv.inputs * 9 * TILE),
-            conv.bias.chunks_exact(TILE),
-        );
+        let inputs = if PAIRED { conv.inputs.next_multiple_of(2) } else { conv.inputs };
+        let (tiles, biases) = (weights.chunks_exact(inputs * 9 * TILE), conv.bias.chunks_exact(TILE));
         for ((weights, bias), out) in tiles.zip(biases).zip(planes.chunks_mut(TILE)) {
             for row in 0..rows {
                 let mut first = 0;
@@ -193,9 +225,9 @@ impl WithSimd for BandKernel<'_, '_> {
                     let column = first * S::F32_LANES;
                     // 4 = 2 + 2 keeps more sums in flight than 3 + 1.
                     first += match vectors - first {
-                        1 => tile::<S, 1>(simd, band, weights, bias, out, row, column),
-                        2 | 4 => tile::<S, 2>(simd, band, weights, bias, out, row, column),
-                        _ => tile::<S, 3>(simd, band, weights, bias, out, row, column),
+                        1 => tile::<S, 1, PAIRED>(simd, band, weights, bias, out, row, column),
+                        2 | 4 => tile::<S, 2, PAIRED>(simd, band, weights, bias, out, row, column),
+                        _ => tile::<S, 3, PAIRED>(simd, band, weights, bias, out, row, column),
                     };
                 }
             }
@@ -205,7 +237,7 @@ impl WithSimd for BandKernel<'_, '_> {
 
 /// Sums one tile of `TILE` channels by `V` vectors of one row; returns V.
 #[inline(always)]
-fn tile<S: Simd, const V: usize>(
+fn tile<S: Simd, const V: usize, const PAIRED: bool>(
     simd: S,
     band: &Band,
     weights: &[f32],
@@ -217,17 +249,21 @@ fn tile<S: Simd, const V: usize>(
     let mut sums: [[S::f32s; V]; TILE] = std::array::from_fn(|channel| [simd.splat_f32s(bias[channel]); V]);
     let (channel_stride, stride) = (band.plane(), band.stride());
     let span = V * S::F32_LANES;
-    for (channel, weights) in weights.chunks_exact(9 * TILE).enumerate() {
-        let rows = &band.values()[channel * channel_stride + row * stride + column..];
+    let together = if PAIRED { 2 } else { 1 };
+    for (group, weights) in weights.chunks_exact(together * 9 * TILE).enumerate() {
+        let rows = &band.values()[group * together * channel_stride + row * stride + column..];
         for ky in 0..3 {
-            let values = &rows[ky * stride..][..span + 2];
             for kx in 0..3 {
-                let (values, _) = S::as_simd_f32s(&values[kx..kx + span]);
-                let taps = &weights[(3 * ky + kx) * TILE..][..TILE];
-                for output in 0..TILE {
-                    let weight = simd.splat_f32s(taps[output]);
-                    for vector in 0..V {
-                        sums[output][vector] = simd.mul_add_f32s(weight, values[vector], sums[output][vector]);
+                for half in 0..together {
+                    let channel = together - 1 - half;
+                    let values = &rows[channel * channel_stride + ky * stride + kx..][..span];
+                    let (values, _) = S::as_simd_f32s(values);
+                    let taps = &weights[((3 * ky + kx) * together + half) * TILE..][..TILE];
+                    for output in 0..TILE {
+                        let weight = simd.splat_f32s(taps[output]);
+                        for vector in 0..V {
+                            sums[output][vector] = simd.mul_add_f32s(weight, values[vector], sums[output][vector]);
+                        }
                     }
                 }
             }

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::band::across;
 use super::weight_pairs;
 use super::weight_tile::{INPUTS, OUTPUTS, SIDE, Sums, Tile};
-use crate::Precision;
+use crate::{Precision, bf16, bf16_is_fast};
 
 /// Numbers of the widest vector of any instruction set, for padding.
 const MAX_LANES: usize = 32;
@@ -52,14 +52,22 @@ pub fn weight_gradient(gradient: &[f32], input: &[f32], maps: Maps) -> Vec<f32> 
         let seen = |value: f32| if maps.rectify { value.max(0.0) } else { value };
         let tiles = match maps.products {
             Precision::F32 => {
-                let gradient = Padded::new(gradient, outputs, &sheet, 0, |value| value);
-                let input = Padded::new(input, inputs, &sheet, 1, seen);
+                let gradient = Padded::new(gradient, outputs, &sheet, [0, 0], |value| value);
+                let input = Padded::new(input, inputs, &sheet, [1, 2], seen);
                 tiles(&gradient, &input, maps, &sheet, |tile| Arch::new().dispatch(tile))
             }
-            Precision::Bf16 => {
-                let gradient = Padded::new(gradient, outputs, &sheet, 0, weight_pairs::number);
-                let input = Padded::new(input, inputs, &sheet, 1, |value| weight_pairs::number(seen(value)));
+            Precision::Bf16 if bf16_is_fast() => {
+                let gradient = Padded::new(gradient, outputs, &sheet, [0, 0], weight_pairs::number);
+                let input = Padded::new(input, inputs, &sheet, [1, 2], |value| weight_pairs::number(seen(value)));
                 tiles(&gradient, &input, maps, &sheet, weight_pairs::sums)
+            }
+            Precision::Bf16 => {
+                // Of what lies one pair further a whole vector is read.
+                let mut gradient = Padded::new(gradient, outputs, &sheet, [0, 0], bf16::nearest);
+                let mut input = Padded::new(input, inputs, &sheet, [1, MAX_LANES], |value| bf16::nearest(seen(value)));
+                gradient.part();
+                input.part();
+                tiles(&gradient, &input, maps, &sheet, weight_pairs::rounded_sums)
             }
         };
         for (tile, values) in tiles.iter().enumerate() {
@@ -132,7 +140,8 @@ fn tiles<T: Sync>(
         .collect()
 }
 
-/// The planes of a sheet with zeros around: `margin` rows and columns, and what whole vectors read beyond the last column.
+/// The planes of a sheet with zeros around: `margin` rows and columns before and after, and what whole vectors read beyond
+/// the last column.
 struct Padded<T> {
     values: Vec<T>,
     plane: usize,
@@ -140,16 +149,16 @@ struct Padded<T> {
 }
 
 impl<T: Copy + Default + Send> Padded<T> {
-    /// `images [B, channels, H, W]`
+    /// `images [B, channels, H, W]`; rows have `beyond` numbers more than whole vectors, at least twice the margin.
     fn new(
         images: &[f32],
         channels: usize,
         sheet: &Sheet,
-        margin: usize,
+        [margin, beyond]: [usize; 2],
         number: impl Fn(f32) -> T + Sync,
     ) -> Self {
         let ([height, width], [rows, columns]) = (sheet.image, sheet.size);
-        let stride = columns.next_multiple_of(MAX_LANES) + 2 * margin;
+        let stride = columns.next_multiple_of(MAX_LANES) + beyond;
         let plane = (rows + 2 * margin) * stride;
         let mut values = vec![T::default(); channels * plane];
         values
@@ -167,6 +176,23 @@ impl<T: Copy + Default + Send> Padded<T> {
                 }
             });
         Self { values, plane, stride }
+    }
+}
+
+impl Padded<f32> {
+    /// Puts the second numbers of all pairs of a row behind the first ones.
+    fn part(&mut self) {
+        let half = self.stride / 2;
+        self.values.par_chunks_mut((self.stride * 64).max(1)).for_each(|rows| {
+            let mut parted = vec![0.0f32; 2 * half];
+            for row in rows.chunks_exact_mut(2 * half) {
+                let (first, second) = parted.split_at_mut(half);
+                for ((first, second), pair) in first.iter_mut().zip(second).zip(row.as_chunks::<2>().0) {
+                    [*first, *second] = *pair;
+                }
+                row.copy_from_slice(&parted);
+            }
+        });
     }
 }
 

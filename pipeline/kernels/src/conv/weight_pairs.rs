@@ -3,6 +3,8 @@
 
 use super::weight_tile::{INPUTS, OUTPUTS, SIDE, Sums, Tile};
 use crate::bf16::{multiply_add_each, rounded};
+use pulp::{Arch, Simd, WithSimd};
+
 use crate::vectorised;
 
 /// Pixels of a vector.
@@ -21,6 +23,69 @@ pub(crate) fn number(value: f32) -> u16 {
 /// The sums of a tile.
 pub(crate) fn sums(tile: Tile<'_, u16>) -> Sums {
     lane_sums(&tile).map(|inputs| inputs.map(|taps| taps.map(|lanes| lanes.iter().sum())))
+}
+
+/// The same from planes of f32 that hold rounded numbers, the second ones of all pairs of a row behind the first ones: the
+/// bits that the instruction gives, in products of f32.
+pub(crate) fn rounded_sums(tile: Tile<'_, f32>) -> Sums {
+    let sums = Arch::new().dispatch(Rounded(&tile));
+    sums.map(|inputs| inputs.map(|taps| taps.map(|lanes| lanes.iter().sum())))
+}
+
+struct Rounded<'a>(&'a Tile<'a, f32>);
+
+impl WithSimd for Rounded<'_> {
+    type Output = LaneSums;
+
+    // Indices in plain loops: what takes a closure to an array is compiled apart from it, without vectors.
+    #[allow(clippy::needless_range_loop)]
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> LaneSums {
+        let tile = self.0;
+        let [height, width] = tile.size;
+        let mut lanes: LaneSums = [[[[0.0; LANES]; SIDE]; INPUTS]; OUTPUTS];
+        for first in (0..LANES).step_by(S::F32_LANES) {
+            let mut sums = [[[simd.splat_f32s(0.0); SIDE]; INPUTS]; OUTPUTS];
+            let load = |plane: &[f32], place: usize| S::as_simd_f32s(&plane[place..][..S::F32_LANES]).0[0];
+            for row in 0..height {
+                for column in (0..width.div_ceil(2)).step_by(LANES) {
+                    let [of_gradient, of_input] = [row * tile.strides[0], (row + tile.row) * tile.strides[1]];
+                    // The numbers that follow each other from the first tap's pair on.
+                    let mut values = [[simd.splat_f32s(0.0); SIDE + 1]; INPUTS];
+                    for channel in 0..INPUTS {
+                        for number in 0..=SIDE {
+                            let half = number % 2 * (tile.strides[1] / 2);
+                            let place = of_input + half + column + first + number / 2;
+                            values[channel][number] = load(tile.input[channel], place);
+                        }
+                    }
+                    for output in 0..OUTPUTS {
+                        let place = of_gradient + column + first;
+                        let slopes = [
+                            load(tile.gradient[output], place),
+                            load(tile.gradient[output], place + tile.strides[0] / 2),
+                        ];
+                        for channel in 0..INPUTS {
+                            for tap in 0..SIDE {
+                                let sum = &mut sums[output][channel][tap];
+                                *sum = simd.mul_add_f32s(slopes[1], values[channel][tap + 1], *sum);
+                                *sum = simd.mul_add_f32s(slopes[0], values[channel][tap], *sum);
+                            }
+                        }
+                    }
+                }
+            }
+            for output in 0..OUTPUTS {
+                for channel in 0..INPUTS {
+                    for tap in 0..SIDE {
+                        let part = &mut lanes[output][channel][tap][first..first + S::F32_LANES];
+                        S::as_mut_simd_f32s(part).0[0] = sums[output][channel][tap];
+                    }
+                }
+            }
+        }
+        lanes
+    }
 }
 
 fn lane_sums(tile: &Tile<'_, u16>) -> LaneSums {
@@ -147,6 +212,28 @@ mod tests {
             };
             let bits = |sums: LaneSums| sums.map(|sums| sums.map(|sums| sums.map(|sums| sums.map(f32::to_bits))));
             assert_eq!(bits(lane_sums(&tile)), bits(portable_lane_sums(&tile)));
+            let parted = |plane: &Vec<u16>, stride: usize| -> Vec<f32> {
+                let number = |bits: u16| f32::from_bits(u32::from(bits) << 16);
+                let half = |row: &[u16], first: usize| {
+                    let mut half: Vec<f32> = row.iter().skip(first).step_by(2).copied().map(number).collect();
+                    half.resize(stride / 2 + 32, 0.0);
+                    half
+                };
+                let rows = plane.chunks_exact(stride);
+                rows.flat_map(|row| [half(row, 0), half(row, 1)].concat()).collect()
+            };
+            let gradient = gradient.each_ref().map(|plane| parted(plane, strides[0]));
+            let input = input.each_ref().map(|plane| parted(plane, strides[1]));
+            let tile_of_f32 = Tile {
+                gradient: gradient.each_ref().map(Vec::as_slice),
+                input: input.each_ref().map(Vec::as_slice),
+                strides: strides.map(|stride| stride + 64),
+                row,
+                size,
+            };
+            let found = Arch::new().dispatch(Rounded(&tile_of_f32));
+            // The tile of u16 reads on beyond the last column, where this one has numbers, too.
+            assert_eq!(bits(found), bits(portable_lane_sums(&tile)));
         }
     }
 }
