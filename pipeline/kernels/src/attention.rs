@@ -11,8 +11,12 @@ use crate::lanes;
 use crate::pointwise::exp;
 use crate::{Matrix, Norm, PackedWeight, Precision, vectorised};
 
-/// Query rows of a task: their scores against some thousand keys should fit the second-level cache.
+/// Query rows of a task.
 const ROWS: usize = 60;
+/// Query rows that are taken together at least; a multiple is.
+const FEWEST_ROWS: usize = 12;
+/// Scores of the rows that are taken together: they stay in the second-level cache, beside keys and values that pass.
+const SCORES: usize = 128 << 10;
 
 /// Keys and values of one head, packed for products.
 #[derive(Debug)]
@@ -35,7 +39,9 @@ impl Head {
     /// `scores` is memory to be used again. `queries [n, size]`, `bias [size]`
     pub fn attend(&self, queries: &[f32], bias: &[f32], output: &mut [f32], stride: usize, scores: &mut Vec<f32>) {
         let (size, tokens) = (self.values.outputs(), self.keys.outputs());
-        for (queries, output) in queries.chunks(ROWS * size).zip(output.chunks_mut(ROWS * stride)) {
+        let together = (SCORES / tokens.max(1) / FEWEST_ROWS).clamp(1, ROWS / FEWEST_ROWS) * FEWEST_ROWS;
+        let pieces = queries.chunks(together * size).zip(output.chunks_mut(together * stride));
+        for (queries, output) in pieces {
             scores.resize(queries.len() / size * tokens, 0.0);
             self.keys.rows(queries, scores, tokens, |_, _, _| {});
             let mut inverses = [0.0f32; ROWS];
