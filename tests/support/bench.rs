@@ -46,10 +46,10 @@ impl Peer {
         Some(Self { process, input, output })
     }
 
-    /// What it answers to the next line; `None` when it has died, with its message above.
-    pub(crate) fn turn(&mut self) -> Option<String> {
+    /// What it answers to a line; `None` when it has died, with its message above.
+    pub(crate) fn turn(&mut self, what: &str) -> Option<String> {
         let mut line = String::new();
-        writeln!(self.input).and_then(|()| self.input.flush()).ok()?;
+        writeln!(self.input, "{what}").and_then(|()| self.input.flush()).ok()?;
         (self.output.read_line(&mut line).ok()? > 0).then_some(line)
     }
 }
@@ -86,6 +86,13 @@ pub(crate) fn processor_seconds() -> f64 {
         Some(text.split(' ').next()?.parse::<f64>().ok()? * 1e-9)
     };
     threads.filter_map(of).sum()
+}
+
+/// Wall and processor seconds of a piece of work.
+pub(crate) fn timed<T>(work: impl FnOnce() -> T) -> (T, [f64; 2]) {
+    let (start, processor) = (Instant::now(), processor_seconds());
+    let result = work();
+    (result, [start.elapsed().as_secs_f64(), processor_seconds() - processor])
 }
 
 /// Peak resident memory of this process, MiB, where the system tells.

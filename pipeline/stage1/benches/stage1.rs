@@ -1,12 +1,14 @@
-//! Parts of the Stage-1 network beside PyTorch, float32 and bfloat16 products each, in one run, by CPU time.
+//! Parts of the Stage-1 network beside PyTorch, float32 and bfloat16 products each, in turns: wall and processor seconds, the
+//! smallest of the repeats.
 //!
 //! `ROGS_PEER_PYTHON=python cargo bench -p rogs-stage1 --bench stage1 -- [CONFIGURATION] [whole]`, where that Python has
 //! `torch`; without the variable our times are printed alone. Both sides use as many threads as rayon does.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
-use std::io::Write as _;
-use std::process::{Command, Stdio};
+#[path = "../../../tests/support/bench.rs"]
+mod bench;
 
+use bench::{Peer, processor, timed};
 use burn::tensor::{Device, Tensor};
 use glam::DVec3;
 use rogs_geometry::Pose;
@@ -34,35 +36,58 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     let mut network = seeded::network(&config, 1, &Device::flex())?;
     let grid = config.grid(SIZE[0], SIZE[1])?;
-    let mut own = parts(&network, grid)?;
-    if is_whole {
-        own.push(("whole lifting", whole(&network)?));
-        network.precision = Precision::Bf16;
-        own.push(("whole lifting, bf16", whole(&network)?));
-    }
-    let peer = peer(&config, grid, is_whole)?;
+    println!("{}, {} threads", processor(), rayon::current_num_threads());
+    println!("{name}, {FRAMES} frames of {} x {} pixels", SIZE[0], SIZE[1]);
+    let mut peer = Peer::start("stage1.py", &job(&config, grid)?);
     println!(
-        "{name}, {FRAMES} frames of {} x {} pixels, processor seconds",
-        SIZE[0], SIZE[1]
+        "{:24} {:>8} {:>8}    PyTorch {:>8} {:>8}    times as fast",
+        "", "wall, s", "CPU, s", "wall, s", "CPU, s"
     );
-    for (part, seconds) in own {
-        match peer
-            .as_ref()
-            .and_then(|peer| peer.get(part))
-            .and_then(serde_json::Value::as_f64)
-        {
-            Some(theirs) => println!(
-                "{part:24} {seconds:8.3}  PyTorch {theirs:8.3}  {:.2} x as fast",
-                theirs / seconds
-            ),
-            None => println!("{part:24} {seconds:8.3}"),
+    let parts = parts(&network, grid)?;
+    for (part, work) in &parts {
+        beside(part, REPEATS, work, &mut peer);
+    }
+    drop(parts);
+    if is_whole {
+        for (part, precision) in [("whole lifting", Precision::F32), ("whole lifting, bf16", Precision::Bf16)] {
+            network.precision = precision;
+            let frames = whole_frames();
+            beside(part, 1, &|| whole(&network, &frames).unwrap(), &mut peer);
         }
     }
     Ok(())
 }
 
+/// Least seconds of ours and of the peer's, one run of each in turn after one that warms up.
+fn beside(part: &str, repeats: usize, work: &dyn Fn(), peer: &mut Option<Peer>) {
+    let least = |least: [f64; 2], seconds: [f64; 2]| [0, 1].map(|side| f64::min(least[side], seconds[side]));
+    let (mut own, mut theirs) = ([f64::INFINITY; 2], [f64::INFINITY; 2]);
+    for repeat in 0..=repeats {
+        let ((), seconds) = timed(work);
+        let answer = peer.as_mut().and_then(|peer| peer.turn(part));
+        let answer = answer.and_then(|line| serde_json::from_str(&line).ok());
+        // What runs once only is not warmed up.
+        if repeat > 0 || repeats == 1 {
+            own = least(own, seconds);
+            theirs = answer.map_or(theirs, |seconds| least(theirs, seconds));
+        }
+        if repeats == 1 {
+            break;
+        }
+    }
+    print!("{part:24} {:8.3} {:8.3}", own[0], own[1]);
+    if theirs[0].is_finite() {
+        let ratio = [0, 1].map(|side| theirs[side] / own[side]);
+        print!("            {:8.3} {:8.3}    {:.2} {:.2}", theirs[0], theirs[1], ratio[0], ratio[1]);
+    }
+    println!();
+}
+
+/// A piece of work by the name that the peer knows.
+type Part<'a> = (&'static str, Box<dyn Fn() + 'a>);
+
 /// A frame block, a global block, a dense head on one frame.
-fn parts(network: &Stage1, grid: [usize; 2]) -> Result<Vec<(&'static str, f64)>, Box<dyn std::error::Error>> {
+fn parts(network: &Stage1, grid: [usize; 2]) -> Result<Vec<Part<'_>>, Box<dyn std::error::Error>> {
     let (config, device) = (&network.config, Device::flex());
     let special = config.patch_start();
     let patch = (0..grid[0] * grid[1]).map(|token| [token / grid[1] + 1, token % grid[1] + 1]);
@@ -107,99 +132,60 @@ fn parts(network: &Stage1, grid: [usize; 2]) -> Result<Vec<(&'static str, f64)>,
     };
     let head = network.head(HeadKind::Depth)?;
     let projections = head.projections(None);
-    let over = |block: &Block, input: &Tensor<3>| best(|| drop(block.forward(input.clone(), Some(&rotary)).to_data()));
+    let over = |block: Block, input: &Tensor<3>| -> Box<dyn Fn()> {
+        let (input, rotary) = (input.clone(), rotary.clone());
+        Box::new(move || drop(block.forward(input.clone(), Some(&rotary)).to_data()))
+    };
     Ok(vec![
-        ("frame block", over(&frame, &input)),
-        ("frame block, bf16", over(&frame_bf16, &input)),
-        ("global block", over(&global, &joined)),
-        ("global block, bf16", over(&global_bf16, &joined)),
+        ("frame block", over(frame, &input)),
+        ("frame block, bf16", over(frame_bf16, &input)),
+        ("global block", over(global, &joined)),
+        ("global block, bf16", over(global_bf16, &joined)),
         (
             "dense head, one frame",
-            best(|| drop(head.forward(&projections, &encoded).to_data())),
+            Box::new(move || drop(head.forward(&projections, &encoded).to_data())),
         ),
     ])
 }
 
-/// Image encoder, aggregator, depth and attribute heads, once.
-fn whole(network: &Stage1) -> Result<f64, Box<dyn std::error::Error>> {
-    let device = Device::flex();
+/// Noise that a whole lifting sees.
+fn whole_frames() -> SourceFrames {
     let pixels = FRAMES * 3 * SIZE[0] * SIZE[1];
     let images: Vec<f32> = (0..pixels).map(|k| ((k * 7919) % 256) as f32 / 255.0).collect();
     let camera = NetworkCamera {
         world_from_camera_iu: Pose::from_translation(DVec3::new(0.1, 0.2, 0.3)),
         focal_centre: [0.7, 1.2, 0.5, 0.5],
     };
-    let frames = SourceFrames {
-        images: from_host(images, [FRAMES, 3, SIZE[0], SIZE[1]], &device),
+    SourceFrames {
+        images: from_host(images, [FRAMES, 3, SIZE[0], SIZE[1]], &Device::flex()),
         cameras: vec![camera; FRAMES],
         recon_from_base_iu: Pose::IDENTITY,
         times: (0..FRAMES).map(|frame| (frame % 5) as f32 / 4.0).collect(),
         attention: Attention::Joint,
-    };
-    let heads = [network.head(HeadKind::Depth)?, network.head(HeadKind::Splat)?];
-    let start = processor_seconds();
-    let encoded = network.encode(&frames)?;
-    for head in &heads {
+    }
+}
+
+/// Image encoder, aggregator, depth and attribute heads, once.
+fn whole(network: &Stage1, frames: &SourceFrames) -> Result<(), Box<dyn std::error::Error>> {
+    let encoded = network.encode(frames)?;
+    for head in [network.head(HeadKind::Depth)?, network.head(HeadKind::Splat)?] {
         let projections = head.projections(None);
         for frame in 0..FRAMES {
             let one = encoded.frames_at(frame, 1);
             drop(head.forward(&projections, &one).to_data());
         }
     }
-    Ok(processor_seconds() - start)
+    Ok(())
 }
 
-/// The same parts in PyTorch, if there is one.
-fn peer(
-    config: &Stage1Config,
-    grid: [usize; 2],
-    whole: bool,
-) -> Result<Option<serde_json::Value>, Box<dyn std::error::Error>> {
-    let Some(python) = std::env::var_os("ROGS_PEER_PYTHON") else {
-        return Ok(None);
-    };
+/// What the peer is told.
+fn job(config: &Stage1Config, grid: [usize; 2]) -> Result<String, Box<dyn std::error::Error>> {
     let mut job = serde_json::to_value(config)?;
     let more = serde_json::json!({
-        "frames": FRAMES, "grid": grid, "size": SIZE, "threads": rayon::current_num_threads(), "repeats": REPEATS,
-        "whole": whole,
+        "frames": FRAMES, "grid": grid, "size": SIZE, "threads": rayon::current_num_threads(),
     });
     if let (Some(job), Some(more)) = (job.as_object_mut(), more.as_object()) {
         job.extend(more.clone());
     }
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/peers/stage1.py");
-    let mut child = Command::new(python)
-        .arg(script)
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .spawn()?;
-    if let Some(mut stdin) = child.stdin.take() {
-        stdin.write_all(job.to_string().as_bytes())?;
-    }
-    let output = child.wait_with_output()?;
-    if !output.status.success() {
-        return Err("the PyTorch script failed; its message is above".into());
-    }
-    Ok(Some(serde_json::from_slice(&output.stdout)?))
-}
-
-/// Smallest CPU time of some repeats, after one run that warms up.
-fn best(mut work: impl FnMut()) -> f64 {
-    work();
-    (0..REPEATS)
-        .map(|_| {
-            let start = processor_seconds();
-            work();
-            processor_seconds() - start
-        })
-        .fold(f64::INFINITY, f64::min)
-}
-
-/// Processor time of this process so far, from the scheduler's statistics of its threads where the system has them.
-fn processor_seconds() -> f64 {
-    let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
-    let nanoseconds: u64 = tasks
-        .filter_map(|task| std::fs::read_to_string(task.path().join("schedstat")).ok())
-        .filter_map(|text| text.split(' ').next()?.parse::<u64>().ok())
-        .sum();
-    nanoseconds as f64 * 1e-9
+    Ok(job.to_string())
 }

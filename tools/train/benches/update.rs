@@ -9,9 +9,7 @@
 #[path = "../../../tests/support/bench.rs"]
 mod bench;
 
-use std::time::Instant;
-
-use bench::{Peer, peak_memory_mib, processor, processor_seconds};
+use bench::{Peer, peak_memory_mib, processor, timed};
 use burn::tensor::Device;
 use rayon::prelude::*;
 use rogs_lift::ProductPrecision;
@@ -103,7 +101,7 @@ fn job(settings: &Stage1Training, batch: &Batch, layout: &str) -> String {
 }
 
 fn answer(peer: &mut Peer) -> Option<[Seconds; 3]> {
-    let told: serde_json::Value = serde_json::from_str(&peer.turn()?).ok()?;
+    let told: serde_json::Value = serde_json::from_str(&peer.turn("update")?).ok()?;
     let part = |name: &str| serde_json::from_value(told[name].clone()).ok();
     Some([part("forward")?, part("backward")?, part("optimiser")?])
 }
@@ -175,12 +173,6 @@ impl Parts {
 
 fn each<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> Result<R> + Sync + Send) -> Result<Vec<R>> {
     items.par_iter().with_max_len(1).map(work).collect()
-}
-
-fn timed<T>(work: impl FnOnce() -> T) -> (T, Seconds) {
-    let (start, processor) = (Instant::now(), processor_seconds());
-    let result = work();
-    (result, [start.elapsed().as_secs_f64(), processor_seconds() - processor])
 }
 
 /// Least seconds by what was timed, in the order of the first mention.

@@ -1,8 +1,9 @@
 """Parts of the Stage-1 network in PyTorch, float32 and bfloat16, from their formulas, with random weights.
 
-Reads one JSON object from standard input: sizes of the network (as in a checkpoint's `rogs.configuration`), `frames`,
-`grid`, `size`, `threads`, `repeats`. Prints one JSON object: seconds of processor time of each part, the smallest of the
-repeats. What is not a matter of time (positions, norms' values) is left out where it costs nothing.
+Reads one JSON object from the first line of standard input: sizes of the network (as in a checkpoint's
+`rogs.configuration`), `frames`, `grid`, `size`, `threads`. Every further line names a part, which is run once; the answer is
+a line with its seconds of wall and of processor time. What is not a matter of time (positions, norms' values) is left out
+where it costs nothing.
 """
 
 import json
@@ -12,7 +13,7 @@ import time
 import torch
 import torch.nn.functional as F
 
-job = json.load(sys.stdin)
+job = json.loads(sys.stdin.readline())
 torch.set_num_threads(job["threads"])
 torch.manual_seed(0)
 WIDTH, HEADS = job["width"], job["heads"]
@@ -128,16 +129,6 @@ def rotary(frames):
     return [a.cos() for a in angles], [a.sin() for a in angles]
 
 
-def best(work, repeats=job["repeats"]):
-    seconds = []
-    for _ in range(repeats):
-        start = time.process_time()
-        with torch.inference_mode():
-            work()
-        seconds.append(time.process_time() - start)
-    return min(seconds)
-
-
 special, patches = job["registers"] + 3, GRID[0] * GRID[1]
 frame_tokens = torch.randn(FRAMES, special + patches, WIDTH)
 all_tokens = frame_tokens.reshape(1, -1, WIDTH)
@@ -164,19 +155,16 @@ def whole():
             head([tap[frame : frame + 1] for tap in kept])
 
 
-def in_bf16(work, repeats=job["repeats"]):
-    with torch.autocast("cpu", dtype=torch.bfloat16):
-        return best(work, repeats)
-
-
-results = {
-    "frame block": best(lambda: frame_block(frame_tokens)),
-    "frame block, bf16": in_bf16(lambda: frame_block(frame_tokens)),
-    "global block": best(lambda: global_block(all_tokens)),
-    "global block, bf16": in_bf16(lambda: global_block(all_tokens)),
-    "dense head, one frame": best(lambda: head(taps)),
+PARTS = {
+    "frame block": lambda: frame_block(frame_tokens),
+    "global block": lambda: global_block(all_tokens),
+    "dense head, one frame": lambda: head(taps),
+    "whole lifting": whole,
 }
-if job["whole"]:
-    results["whole lifting"] = best(whole, 1)
-    results["whole lifting, bf16"] = in_bf16(whole, 1)
-print(json.dumps(results))
+
+for line in sys.stdin:
+    name = line.strip().removesuffix(", bf16")
+    with torch.inference_mode(), torch.autocast("cpu", dtype=torch.bfloat16, enabled="bf16" in line):
+        wall, processor = time.perf_counter(), time.process_time()
+        PARTS[name]()
+        print(json.dumps([time.perf_counter() - wall, time.process_time() - processor]), flush=True)
