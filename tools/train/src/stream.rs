@@ -95,10 +95,10 @@ impl<T: Send + 'static> Stream<T> {
     #[must_use]
     pub fn start(updates: Range<u64>, mut make: impl FnMut(u64) -> Result<T> + Send + 'static) -> Self {
         let (sender, receiver) = sync_channel(AHEAD);
-        let threads = rayon::ThreadPoolBuilder::new().num_threads(rayon::current_num_threads());
+        let threads = rayon::current_num_threads();
         let worker = std::thread::spawn(move || {
             // Where the system starts no more threads, those of training have to do.
-            let pool = threads.build().ok();
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok();
             for update in updates {
                 let item = match &pool {
                     Some(pool) => pool.install(|| make(update)),
