@@ -1,21 +1,29 @@
-//! Kernels beside the crate `gemm`, on one thread, in one run: medians of time, one call of ours and one of theirs in turn.
+//! Kernels beside the crate `gemm`, on one thread, in one run: medians of processor time, one call of ours
+//! and one of theirs in turn.
 //!
 //! `cargo bench -p rogs-kernels --bench kernels`
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
-use std::hint::black_box;
-use std::time::Instant;
+#[path = "../../../tests/support/bench.rs"]
+mod bench;
 
+use std::hint::black_box;
+
+use bench::{processor, processor_seconds};
 use gemm::Parallelism;
-use rogs_kernels::{Matrix, PackedAttention, PackedWeight, Precision, TileSize, Winograd};
+use rogs_kernels::{
+    Conv3x3, Maps, Matrix, PackedAttention, PackedWeight, Precision, TileSize, Winograd, weight_gradient,
+};
 
 const REPEATS: usize = 31;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
+    println!("{}, one thread, processor time", processor());
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
     pool.install(|| {
         products();
         gradients();
+        convolutions();
         others();
     });
     Ok(())
@@ -55,6 +63,37 @@ fn gradients() {
             },
             || by_peer([outputs, inputs, rows], (&slopes, [1, outputs]), (&x, [inputs, 1])),
         );
+    }
+}
+
+/// 3x3 convolutions of the compact network in training: 6 images, forward and the gradient of the weights.
+fn convolutions() {
+    for (inputs, outputs, height, width) in [
+        (16, 16, 84, 154),
+        (32, 32, 48, 88),
+        (32, 32, 24, 44),
+        (64, 64, 21, 39),
+        (236, 64, 21, 39),
+    ] {
+        let area = height * width;
+        let (map, weight) = (noise(6 * inputs * area, 1), noise(outputs * inputs * 9, 2));
+        let (slopes, products) = (noise(6 * outputs * area, 3), (6 * outputs * inputs * 9 * area) as f64);
+        let conv = Conv3x3::new(&weight, &[], outputs, inputs, Precision::F32);
+        let name = |what: &str| format!("{what} 6 x {inputs} -> {outputs} [{height}, {width}]");
+        rate(&name("convolution"), products, || {
+            black_box(conv.run(&map, [height, width], true, None));
+        });
+        let maps = Maps {
+            inputs,
+            outputs,
+            height,
+            width,
+            rectify: true,
+            products: Precision::F32,
+        };
+        rate(&name("weight gradient"), products, || {
+            black_box(weight_gradient(&slopes, &map, maps));
+        });
     }
 }
 
@@ -140,15 +179,21 @@ fn beside(name: &str, mut ours: impl FnMut(), mut theirs: impl FnMut()) {
     );
 }
 
+/// Time, and how many products a second that is.
+fn rate(name: &str, products: f64, mut work: impl FnMut()) {
+    let own = median((0..REPEATS).map(|_| seconds(&mut work)).collect());
+    println!("{name:44} {:9.3} ms  {:.1} Gflop/s", own * 1e3, 2e-9 * products / own);
+}
+
 fn alone(name: &str, mut work: impl FnMut()) {
     let own = median((0..REPEATS).map(|_| seconds(&mut work)).collect());
     println!("{name:44} {:9.3} ms", own * 1e3);
 }
 
 fn seconds(work: &mut impl FnMut()) -> f64 {
-    let start = Instant::now();
+    let start = processor_seconds();
     work();
-    start.elapsed().as_secs_f64()
+    processor_seconds() - start
 }
 
 fn median(mut seconds: Vec<f64>) -> f64 {
