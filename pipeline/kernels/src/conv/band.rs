@@ -14,6 +14,15 @@ const LEFT: usize = 1;
 /// Widest vector of any instruction set, for sizing buffers.
 const MAX_LANES: usize = 16;
 
+/// Repeats code for every channel of a tile, a constant in it, so that sums stay in registers: indices of a loop keep them
+/// in memory.
+macro_rules! for_channels {
+    (|$channel:ident| $body:block) => {
+        crate::tile::for_rows!(@ $channel $body 0 1 2 3 4 5 6 7)
+    };
+}
+pub(crate) use for_channels;
+
 thread_local! {
     /// The buffer of a band, kept from one to the next.
     static SCRATCH: Cell<Vec<f32>> = const { Cell::new(Vec::new()) };

@@ -5,7 +5,7 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::band::{Band, Bands, TILE, across, band_rows};
+use super::band::{Band, Bands, TILE, across, band_rows, for_channels};
 use super::pairs;
 use crate::{Precision, bf16, bf16_is_fast};
 
@@ -236,6 +236,8 @@ impl<const PAIRED: bool> WithSimd for BandKernel<'_, '_, PAIRED> {
 }
 
 /// Sums one tile of `TILE` channels by `V` vectors of one row; returns V.
+// Plain indices: what goes through iterators or closures is kept in memory.
+#[allow(clippy::needless_range_loop)]
 #[inline(always)]
 fn tile<S: Simd, const V: usize, const PAIRED: bool>(
     simd: S,
@@ -246,7 +248,10 @@ fn tile<S: Simd, const V: usize, const PAIRED: bool>(
     row: usize,
     column: usize,
 ) -> usize {
-    let mut sums: [[S::f32s; V]; TILE] = std::array::from_fn(|channel| [simd.splat_f32s(bias[channel]); V]);
+    let mut sums = [[simd.splat_f32s(0.0); V]; TILE];
+    for_channels!(|CHANNEL| {
+        sums[CHANNEL] = [simd.splat_f32s(bias[CHANNEL]); V];
+    });
     let (channel_stride, stride) = (band.plane(), band.stride());
     let span = V * S::F32_LANES;
     let together = if PAIRED { 2 } else { 1 };
@@ -256,30 +261,37 @@ fn tile<S: Simd, const V: usize, const PAIRED: bool>(
             for kx in 0..3 {
                 for half in 0..together {
                     let channel = together - 1 - half;
-                    let values = &rows[channel * channel_stride + ky * stride + kx..][..span];
-                    let (values, _) = S::as_simd_f32s(values);
-                    let taps = &weights[((3 * ky + kx) * together + half) * TILE..][..TILE];
-                    for output in 0..TILE {
-                        let weight = simd.splat_f32s(taps[output]);
-                        for vector in 0..V {
-                            sums[output][vector] = simd.mul_add_f32s(weight, values[vector], sums[output][vector]);
-                        }
+                    let read = &rows[channel * channel_stride + ky * stride + kx..][..span];
+                    let (read, _) = S::as_simd_f32s(read);
+                    let mut values = [simd.splat_f32s(0.0); V];
+                    for vector in 0..V {
+                        values[vector] = read[vector];
                     }
+                    let Some(taps) = weights[((3 * ky + kx) * together + half) * TILE..].first_chunk::<TILE>() else {
+                        return V;
+                    };
+                    for_channels!(|CHANNEL| {
+                        let weight = simd.splat_f32s(taps[CHANNEL]);
+                        for vector in 0..V {
+                            sums[CHANNEL][vector] = simd.mul_add_f32s(weight, values[vector], sums[CHANNEL][vector]);
+                        }
+                    });
                 }
             }
         }
     }
     let [_, width] = band.size();
     let valid = (width - column).min(span);
-    for (plane, sums) in out.iter_mut().zip(&sums) {
-        let row = &mut plane[row * width + column..][..valid];
-        let mut chunks = row.chunks_mut(S::F32_LANES);
-        for &sum in sums {
-            if let Some(chunk) = chunks.next() {
-                simd.partial_store_f32s(chunk, sum);
+    for_channels!(|CHANNEL| {
+        if let Some(plane) = out.get_mut(CHANNEL) {
+            let row = &mut plane[row * width + column..][..valid];
+            for vector in 0..V {
+                let first = (vector * S::F32_LANES).min(valid);
+                let last = (first + S::F32_LANES).min(valid);
+                simd.partial_store_f32s(&mut row[first..last], sums[CHANNEL][vector]);
             }
         }
-    }
+    });
     V
 }
 

@@ -5,7 +5,7 @@
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::band::{Bands, TILE};
+use super::band::{Bands, TILE, for_channels};
 
 /// Pixels of a task: what all channels of so many need fits the second-level cache.
 const TASK_PIXELS: usize = 1024;
@@ -156,10 +156,10 @@ impl Place<'_> {
         let whole = count == V * S::F32_LANES;
         let floor = simd.splat_f32s(if self.rectify { 0.0 } else { f32::NEG_INFINITY });
         let mut sums = [[simd.splat_f32s(0.0); V]; TILE];
-        for output in 0..TILE {
-            sums[output] = [simd.splat_f32s(bias[output]); V];
-        }
-        for (channel, weights) in weights.chunks_exact(TILE).enumerate() {
+        for_channels!(|OUTPUT| {
+            sums[OUTPUT] = [simd.splat_f32s(bias[OUTPUT]); V];
+        });
+        for (channel, weights) in weights.as_chunks::<TILE>().0.iter().enumerate() {
             let pixels = &self.input[channel * self.area + self.first..][..count];
             let mut values = [floor; V];
             if whole {
@@ -168,28 +168,32 @@ impl Place<'_> {
                     values[vector] = vectors[vector];
                 }
             } else {
-                for (value, pixels) in values.iter_mut().zip(pixels.chunks(S::F32_LANES)) {
-                    *value = simd.partial_load_f32s(pixels);
+                for vector in 0..V {
+                    let first = (vector * S::F32_LANES).min(count);
+                    let last = (first + S::F32_LANES).min(count);
+                    values[vector] = simd.partial_load_f32s(&pixels[first..last]);
                 }
             }
             for vector in 0..V {
                 values[vector] = simd.max_f32s(values[vector], floor);
             }
-            for output in 0..TILE {
-                let weight = simd.splat_f32s(weights[output]);
+            for_channels!(|OUTPUT| {
+                let weight = simd.splat_f32s(weights[OUTPUT]);
                 for vector in 0..V {
-                    sums[output][vector] = simd.mul_add_f32s(weight, values[vector], sums[output][vector]);
+                    sums[OUTPUT][vector] = simd.mul_add_f32s(weight, values[vector], sums[OUTPUT][vector]);
+                }
+            });
+        }
+        for_channels!(|OUTPUT| {
+            if let Some(plane) = planes.get_mut(OUTPUT) {
+                let pixels = &mut plane[self.column..][..count];
+                for vector in 0..V {
+                    let first = (vector * S::F32_LANES).min(count);
+                    let last = (first + S::F32_LANES).min(count);
+                    simd.partial_store_f32s(&mut pixels[first..last], sums[OUTPUT][vector]);
                 }
             }
-        }
-        for (plane, sums) in planes.iter_mut().zip(&sums) {
-            let mut chunks = plane[self.column..][..count].chunks_mut(S::F32_LANES);
-            for &sum in sums {
-                if let Some(chunk) = chunks.next() {
-                    simd.partial_store_f32s(chunk, sum);
-                }
-            }
-        }
+        });
         count
     }
 }
