@@ -13,7 +13,10 @@ pub(crate) fn processor() -> String {
         let line = told.lines().find(|line| line.starts_with(name))?;
         Some(line.split_once(':')?.1.trim().to_owned())
     };
-    let (name, flags) = (field("model name").unwrap_or_default(), field("flags").unwrap_or_default());
+    let (name, flags) = (
+        field("model name").unwrap_or_default(),
+        field("flags").unwrap_or_default(),
+    );
     let has = |wanted: &&str| flags.split_whitespace().any(|flag| flag == *wanted);
     let sets: Vec<&str> = ["avx2", "fma", "avx512f", "avx512_bf16", "amx_bf16"]
         .into_iter()

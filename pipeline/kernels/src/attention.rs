@@ -40,7 +40,9 @@ impl Head {
     pub fn attend(&self, queries: &[f32], bias: &[f32], output: &mut [f32], stride: usize, scores: &mut Vec<f32>) {
         let (size, tokens) = (self.values.outputs(), self.keys.outputs());
         let together = (SCORES / tokens.max(1) / FEWEST_ROWS).clamp(1, ROWS / FEWEST_ROWS) * FEWEST_ROWS;
-        let pieces = queries.chunks(together * size).zip(output.chunks_mut(together * stride));
+        let pieces = queries
+            .chunks(together * size)
+            .zip(output.chunks_mut(together * stride));
         for (queries, output) in pieces {
             scores.resize(queries.len() / size * tokens, 0.0);
             self.keys.rows(queries, scores, tokens, |_, _, _| {});

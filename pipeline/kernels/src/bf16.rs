@@ -102,7 +102,10 @@ pub(crate) fn is_fast() -> bool {
 fn is_amd() -> bool {
     // SAFETY: every x86-64 CPU has this instruction.
     let vendor = unsafe { std::arch::x86_64::__cpuid(0) };
-    [vendor.ebx, vendor.edx, vendor.ecx].map(u32::to_le_bytes).as_flattened() == b"AuthenticAMD"
+    [vendor.ebx, vendor.edx, vendor.ecx]
+        .map(u32::to_le_bytes)
+        .as_flattened()
+        == b"AuthenticAMD"
 }
 
 /// The bits of pairs as the instruction takes them.

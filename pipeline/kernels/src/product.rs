@@ -12,8 +12,8 @@ use std::ops::Range;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use crate::tile::{COLUMNS, Line, ROWS, copy, for_rows, resized};
 use crate::matrix::Units;
+use crate::tile::{COLUMNS, Line, ROWS, copy, for_rows, resized};
 use crate::{Matrix, Precision, bf16, vectorised};
 
 /// Units that are summed in one go.

@@ -49,7 +49,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     drop(parts);
     if is_whole {
-        for (part, precision) in [("whole lifting", Precision::F32), ("whole lifting, bf16", Precision::Bf16)] {
+        for (part, precision) in [
+            ("whole lifting", Precision::F32),
+            ("whole lifting, bf16", Precision::Bf16),
+        ] {
             network.precision = precision;
             let frames = whole_frames();
             beside(part, 1, &|| whole(&network, &frames).unwrap(), &mut peer);
@@ -78,7 +81,10 @@ fn beside(part: &str, repeats: usize, work: &dyn Fn(), peer: &mut Option<Peer>) 
     print!("{part:24} {:8.3} {:8.3}", own[0], own[1]);
     if theirs[0].is_finite() {
         let ratio = [0, 1].map(|side| theirs[side] / own[side]);
-        print!("            {:8.3} {:8.3}    {:.2} {:.2}", theirs[0], theirs[1], ratio[0], ratio[1]);
+        print!(
+            "            {:8.3} {:8.3}    {:.2} {:.2}",
+            theirs[0], theirs[1], ratio[0], ratio[1]
+        );
     }
     println!();
 }

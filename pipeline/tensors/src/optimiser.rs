@@ -123,7 +123,10 @@ pub fn update(
     let mut moved = Vec::with_capacity(gradients.len());
     for (name, gradient) in gradients {
         let Some(rate) = (rule.rate)(name) else { continue };
-        let (shape, values) = (parameters.shape(name).unwrap_or_default().to_vec(), parameters.host(name)?);
+        let (shape, values) = (
+            parameters.shape(name).unwrap_or_default().to_vec(),
+            parameters.host(name)?,
+        );
         let zeros = || vec![0.0; gradient.len()];
         let one = Moved {
             rate: rate * rule.share,
@@ -140,7 +143,9 @@ pub fn update(
         betas: rule.betas,
         unbias,
     };
-    moved.par_iter_mut().for_each(|(one, gradient)| step.apply(one, gradient));
+    moved
+        .par_iter_mut()
+        .for_each(|(one, gradient)| step.apply(one, gradient));
     for (one, _) in moved {
         parameters.insert(&one.name, &one.shape, one.values)?;
         moments.by_name.insert(one.name, one.moments);

@@ -36,7 +36,8 @@ fn main() -> Result<()> {
     println!("{}, {} threads", processor(), rayon::current_num_threads());
     let batch_of = |step| batch(&settings, step);
     let first = batch_of(0)?;
-    let mut peers = ["contiguous", "channels_last"].map(|layout| Peer::start("update.py", &job(&settings, &first, layout)));
+    let mut peers =
+        ["contiguous", "channels_last"].map(|layout| Peer::start("update.py", &job(&settings, &first, layout)));
 
     let mut whole = Stage1Trainer::new(settings.clone(), &Device::flex())?;
     let mut parts = Parts::new(&settings)?;
@@ -163,7 +164,9 @@ impl Parts {
         let (parameters, moments) = (&mut self.trainer.network.parameters, &mut self.trainer.moments);
         let (moved, optimiser) = timed(|| {
             let mut sum = Gradients::new();
-            gradients.into_iter().for_each(|one| optimiser::add(&mut sum, share, one));
+            gradients
+                .into_iter()
+                .for_each(|one| optimiser::add(&mut sum, share, one));
             optimiser::update(parameters, moments, &sum, &rule, batch.step)
         });
         moved?;
@@ -204,7 +207,12 @@ impl Table {
         for (name, [wall, processor]) in &self.0 {
             println!("{name:36} {wall:8.3} {processor:8.3}");
         }
-        let of = |name: &str| self.0.iter().find(|(known, _)| known == name).map(|(_, seconds)| seconds);
+        let of = |name: &str| {
+            self.0
+                .iter()
+                .find(|(known, _)| known == name)
+                .map(|(_, seconds)| seconds)
+        };
         for part in ["forward", "backward", "optimiser", "together"] {
             let peers = ["contiguous", "channels last"].map(|layout| of(&format!("PyTorch {layout}, {part}")));
             let Some(own) = of(part) else { continue };

@@ -56,7 +56,9 @@ impl Bands {
         let (area, bands) = (height * width, height.div_ceil(rows));
         let mut output = vec![0.0f32; images * channels * area];
         let mut tasks: Vec<Vec<&mut [f32]>> = Vec::new();
-        tasks.resize_with(images.div_ceil(across) * bands, || Vec::with_capacity(across * channels));
+        tasks.resize_with(images.div_ceil(across) * bands, || {
+            Vec::with_capacity(across * channels)
+        });
         for (plane, values) in output.chunks_exact_mut(area.max(1)).enumerate() {
             for (band, rows) in values.chunks_mut((rows * width).max(1)).enumerate() {
                 tasks[plane / channels / across * bands + band].push(rows);

@@ -75,13 +75,7 @@ impl Conv3x3 {
 
     /// Convolves images; `rectify` applies a ReLU to the input first. `residual`, if any, has the shape of the output and is
     /// added at the end, its negative values as 0. `[B, in, H, W] -> [B, out, H, W]`
-    pub fn run(
-        &self,
-        input: &[f32],
-        size: [usize; 2],
-        rectify: bool,
-        residual: Option<&[f32]>,
-    ) -> Vec<f32> {
+    pub fn run(&self, input: &[f32], size: [usize; 2], rectify: bool, residual: Option<&[f32]>) -> Vec<f32> {
         self.convolve(input, size, rectify, |place, values| {
             if let Some(residual) = residual {
                 values
@@ -216,7 +210,11 @@ impl<const PAIRED: bool> WithSimd for BandKernel<'_, '_, PAIRED> {
         } = self;
         let [rows, width] = band.size();
         let vectors = width.div_ceil(S::F32_LANES);
-        let inputs = if PAIRED { conv.inputs.next_multiple_of(2) } else { conv.inputs };
+        let inputs = if PAIRED {
+            conv.inputs.next_multiple_of(2)
+        } else {
+            conv.inputs
+        };
         let (tiles, biases) = (weights.chunks_exact(inputs * 9 * TILE), conv.bias.chunks_exact(TILE));
         for ((weights, bias), out) in tiles.zip(biases).zip(planes.chunks_mut(TILE)) {
             for row in 0..rows {
@@ -344,12 +342,7 @@ mod tests {
                 noise(outputs * inputs * 9, 2),
                 noise(outputs, 3),
             );
-            let found = Conv3x3::new(&weight, &bias, outputs, inputs, Precision::F32).run(
-                &input,
-                [h, w],
-                false,
-                None,
-            );
+            let found = Conv3x3::new(&weight, &bias, outputs, inputs, Precision::F32).run(&input, [h, w], false, None);
             let expected = plain(&input, &weight, &bias, [inputs, outputs], [h, w]);
             for (a, b) in found.iter().zip(&expected) {
                 assert!((a - b).abs() < 1e-4, "{inputs}x{outputs} at {h}x{w}: {a} {b}");

@@ -77,12 +77,7 @@ pub(crate) fn band(weights: &[u32], bias: &[f32], band: &Band, planes: &mut [&mu
 }
 
 /// Writes what lies within the width; returns V.
-fn store<const V: usize>(
-    sums: &Sums<V>,
-    out: &mut [&mut [f32]],
-    width: usize,
-    [row, column]: [usize; 2],
-) -> usize {
+fn store<const V: usize>(sums: &Sums<V>, out: &mut [&mut [f32]], width: usize, [row, column]: [usize; 2]) -> usize {
     for (plane, sums) in out.iter_mut().zip(sums) {
         let values = &mut plane[row * width + column..];
         let valid = (width - column).min(V * LANES);

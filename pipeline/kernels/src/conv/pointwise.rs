@@ -145,13 +145,7 @@ impl Place<'_> {
     // Indices in plain loops: what takes a closure to an array is compiled apart from it, without vectors.
     #[allow(clippy::needless_range_loop)]
     #[inline(always)]
-    fn tile<S: Simd, const V: usize>(
-        self,
-        simd: S,
-        weights: &[f32],
-        bias: &[f32],
-        planes: &mut [&mut [f32]],
-    ) -> usize {
+    fn tile<S: Simd, const V: usize>(self, simd: S, weights: &[f32], bias: &[f32], planes: &mut [&mut [f32]]) -> usize {
         let count = self.count.min(V * S::F32_LANES);
         let whole = count == V * S::F32_LANES;
         let floor = simd.splat_f32s(if self.rectify { 0.0 } else { f32::NEG_INFINITY });

@@ -61,7 +61,8 @@ impl DenseTail {
             });
             let pixels = rows_of_band.len() * width;
             let mut sums = vec![0.0f32; hidden * pixels];
-            self.first.band(&band, &mut sums.chunks_exact_mut(pixels.max(1)).collect::<Vec<_>>());
+            self.first
+                .band(&band, &mut sums.chunks_exact_mut(pixels.max(1)).collect::<Vec<_>>());
             vectorised(
                 #[inline(always)]
                 || {

@@ -64,7 +64,9 @@ pub fn weight_gradient(gradient: &[f32], input: &[f32], maps: Maps) -> Vec<f32> 
             Precision::Bf16 => {
                 // Of what lies one pair further a whole vector is read.
                 let mut gradient = Padded::new(gradient, outputs, &sheet, [0, 0], bf16::nearest);
-                let mut input = Padded::new(input, inputs, &sheet, [1, MAX_LANES], |value| bf16::nearest(seen(value)));
+                let mut input = Padded::new(input, inputs, &sheet, [1, MAX_LANES], |value| {
+                    bf16::nearest(seen(value))
+                });
                 gradient.part();
                 input.part();
                 tiles(&gradient, &input, maps, &sheet, weight_pairs::rounded_sums)
@@ -165,7 +167,10 @@ impl<T: Copy + Default + Send> Padded<T> {
             .par_chunks_mut(plane.max(1))
             .enumerate()
             .for_each(|(channel, plane)| {
-                let images = images.chunks_exact((height * width).max(1)).skip(channel).step_by(channels);
+                let images = images
+                    .chunks_exact((height * width).max(1))
+                    .skip(channel)
+                    .step_by(channels);
                 for (image, values) in images.enumerate() {
                     let (row, column) = (image / sheet.across * (height + 1), image % sheet.across * (width + 1));
                     let rows = plane.chunks_exact_mut(stride).skip(margin + row);

@@ -14,13 +14,7 @@ use rogs_kernels::{Conv3x3, Maps, Pointwise, Precision, pointwise_gradient, weig
 const TAPS: usize = 9;
 
 /// Convolves the input, or its positive part if `rectify`. `input [B, in, H, W]`, `weight [out, in, 3, 3]`, `bias [out]`
-pub fn convolve(
-    input: Tensor<4>,
-    weight: Tensor<4>,
-    bias: Tensor<1>,
-    rectify: bool,
-    products: Precision,
-) -> Tensor<4> {
+pub fn convolve(input: Tensor<4>, weight: Tensor<4>, bias: Tensor<1>, rectify: bool, products: Precision) -> Tensor<4> {
     let ([images, inputs, height, width], [outputs, ..]) = (input.dims(), weight.dims());
     let maps = Maps {
         inputs,

@@ -50,7 +50,11 @@ fn convolutions_equal_those_of_the_framework() {
         assert!(usable(&input) && usable(&weight));
         for rectify in [false, true] {
             let options = ConvOptions::new([1, 1], [1, 1], [1, 1], 1);
-            let seen = if rectify { activation::relu(input.clone()) } else { input.clone() };
+            let seen = if rectify {
+                activation::relu(input.clone())
+            } else {
+                input.clone()
+            };
             same(
                 convolve(input.clone(), weight.clone(), bias.clone(), rectify, Precision::F32),
                 module::conv2d(seen, weight.clone(), Some(bias.clone()), options),
@@ -67,7 +71,11 @@ fn convolutions_of_pixels_equal_those_of_the_framework() {
         let (weight, bias) = (noise([outputs, inputs, 1, 1], 2), noise([outputs], 3));
         for rectify in [false, true] {
             let options = ConvOptions::new([1, 1], [0, 0], [1, 1], 1);
-            let seen = if rectify { activation::relu(input.clone()) } else { input.clone() };
+            let seen = if rectify {
+                activation::relu(input.clone())
+            } else {
+                input.clone()
+            };
             same(
                 convolve_pixels(input.clone(), weight.clone(), bias.clone(), rectify),
                 module::conv2d(seen, weight.clone(), Some(bias.clone()), options),

@@ -188,10 +188,7 @@ impl Conv {
             .flatten();
         let values = host::with_values(input, |input| match tiled {
             Some(conv) => conv.run(input, size, rectify, residual),
-            None => self
-                .packed
-                .get_or_init(direct)
-                .run(input, size, rectify, residual),
+            None => self.packed.get_or_init(direct).run(input, size, rectify, residual),
         });
         from_host(values, [images, outputs, height, width], &input.device())
     }

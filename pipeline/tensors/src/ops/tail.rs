@@ -86,9 +86,7 @@ impl DenseTail {
         let new = |weight: &[f32]| Conv3x3::new(weight, &[], hidden, inputs, Precision::F32);
         let first = host::with_values(&self.first.weight, new);
         let mut map = match positions {
-            Some(positions) => host::with_values(&positions(), |positions| {
-                first.run(positions, size, false, None)
-            }),
+            Some(positions) => host::with_values(&positions(), |positions| first.run(positions, size, false, None)),
             None => vec![0.0; hidden * area],
         };
         for (plane, bias) in map.chunks_exact_mut(area).zip(self.first.host_bias()) {

@@ -87,13 +87,7 @@ impl Winograd {
 
     /// Convolves planar images as [`super::Conv3x3::run`] does. `[B, in, H, W] -> [B, out, H, W]`
     #[must_use]
-    pub fn run(
-        &self,
-        input: &[f32],
-        size: [usize; 2],
-        rectify: bool,
-        residual: Option<&[f32]>,
-    ) -> Vec<f32> {
+    pub fn run(&self, input: &[f32], size: [usize; 2], rectify: bool, residual: Option<&[f32]>) -> Vec<f32> {
         let area = size[0] * size[1];
         let mut result = vec![0.0; input.len() / self.inputs * self.outputs];
         let mut sums = vec![0.0; self.outputs * area];
