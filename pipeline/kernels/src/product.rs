@@ -17,7 +17,7 @@ use crate::tile::{COLUMNS, Line, ROWS, copy, for_rows, resized};
 use crate::{Matrix, Precision, bf16, vectorised};
 
 /// Units that are summed in one go.
-const DEPTH: usize = 256;
+const DEPTH: usize = 128;
 /// Lines of a strip.
 const STRIP: usize = DEPTH / COLUMNS * ROWS;
 /// Rows of a task.
@@ -339,9 +339,7 @@ impl<O: Sums> Product<'_, O> {
             for_rows!(|ROW| {
                 if ROW < R {
                     let (sums, _) = S::as_simd_f32s(self.out.row(first + ROW));
-                    for vector in 0..V {
-                        total[ROW][vector] = sums[vector];
-                    }
+                    total[ROW].copy_from_slice(&sums[..V]);
                 }
             });
         }
@@ -365,9 +363,7 @@ impl<O: Sums> Product<'_, O> {
         for_rows!(|ROW| {
             if ROW < R {
                 let (sums, _) = S::as_mut_simd_f32s(self.out.row(first + ROW));
-                for vector in 0..V {
-                    sums[vector] = total[ROW][vector];
-                }
+                sums[..V].copy_from_slice(&total[ROW]);
             }
         });
     }

@@ -262,9 +262,7 @@ fn tile<S: Simd, const V: usize, const PAIRED: bool>(
                     let read = &rows[channel * channel_stride + ky * stride + kx..][..span];
                     let (read, _) = S::as_simd_f32s(read);
                     let mut values = [simd.splat_f32s(0.0); V];
-                    for vector in 0..V {
-                        values[vector] = read[vector];
-                    }
+                    values.copy_from_slice(&read[..V]);
                     let Some(taps) = weights[((3 * ky + kx) * together + half) * TILE..].first_chunk::<TILE>() else {
                         return V;
                     };

@@ -158,9 +158,7 @@ impl Place<'_> {
             let mut values = [floor; V];
             if whole {
                 let (vectors, _) = S::as_simd_f32s(pixels);
-                for vector in 0..V {
-                    values[vector] = vectors[vector];
-                }
+                values.copy_from_slice(&vectors[..V]);
             } else {
                 for vector in 0..V {
                     let first = (vector * S::F32_LANES).min(count);
