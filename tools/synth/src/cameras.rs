@@ -43,6 +43,8 @@ pub enum Mount {
 pub struct EpisodeCamera {
     /// Intrinsics and image size, pixels.
     pub lens: Pinhole,
+    /// The lens that is written: the same, or with calibration noise.
+    pub recorded_lens: Pinhole,
     /// The pose images are rendered with.
     pub mount: Mount,
     /// The pose that is written: the same, or with calibration noise.
@@ -87,7 +89,7 @@ pub fn nominal_hand_eye() -> Pose<BodyFrame, Camera> {
     )
 }
 
-fn hand_eye(translation: DVec3, tilt: f64, extra: DMat3) -> Pose<BodyFrame, Camera> {
+pub(crate) fn hand_eye(translation: DVec3, tilt: f64, extra: DMat3) -> Pose<BodyFrame, Camera> {
     Pose::new(rot_y(tilt) * rot_z(-std::f64::consts::FRAC_PI_2) * extra, translation)
 }
 
@@ -124,19 +126,21 @@ pub(crate) fn draw_cameras(
         let (mount, intrinsics, [height, width], baseline) = left[index % 3];
         let eye = Pose::from_translation(DVec3::X * if index < 3 { 0.0 } else { baseline });
         let recorded = if noise.is_some() { errors[index % 3] * eye } else { eye };
+        let lens = Pinhole {
+            intrinsics,
+            width,
+            height,
+        };
         EpisodeCamera {
-            lens: Pinhole {
-                intrinsics,
-                width,
-                height,
-            },
+            lens,
+            recorded_lens: lens,
             mount: moved(mount, eye),
             recorded_mount: moved(mount, recorded),
         }
     })
 }
 
-fn moved(mount: Mount, by: Pose<Camera, Camera>) -> Mount {
+pub(crate) fn moved(mount: Mount, by: Pose<Camera, Camera>) -> Mount {
     match mount {
         Mount::Fixed(pose) => Mount::Fixed(pose * by),
         Mount::Flange(pose) => Mount::Flange(pose * by),
@@ -167,10 +171,15 @@ fn external_pose(draw: &mut Draw, side: f64, table_z: f64) -> Pose<Base, Camera>
         draw.range(-0.10, 0.10),
         table_z + draw.range(0.0, 0.16),
     );
+    looking_at(eye, target, 0.03 * draw.normal())
+}
+
+/// A camera that looks from a place to another, turned about its axis by `roll`, radians.
+pub(crate) fn looking_at(eye: DVec3, target: DVec3, roll: f64) -> Pose<Base, Camera> {
     let forward = (target - eye).normalize();
     let right = forward.cross(DVec3::Z).normalize();
     let look = DMat3::from_cols(right, forward.cross(right), forward);
-    Pose::new(look * rot_z(0.03 * draw.normal()), eye)
+    Pose::new(look * rot_z(roll), eye)
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::cameras::Resolution;
 use crate::error::{Error, Result};
 use crate::motion::Action;
+use crate::world::World;
 
 /// Settings of the generator; two episodes of equal settings and seed are equal to the byte.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -29,6 +30,9 @@ pub struct SynthConfig {
     pub anchor_frame: Option<u32>,
     /// Most tracks that start in each of the three source cameras on the robot, and on objects.
     pub tracks_per_camera: [u32; 2],
+    /// How wide the worlds of episodes are; without it, all are plain robot cells.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub world: Option<World>,
 }
 
 impl Default for SynthConfig {
@@ -43,6 +47,7 @@ impl Default for SynthConfig {
             sensor_noise: true,
             anchor_frame: None,
             tracks_per_camera: [192, 64],
+            world: None,
         }
     }
 }
@@ -74,6 +79,9 @@ impl SynthConfig {
                     "height from 8 to 2160, width from 8 to 3840",
                 );
             }
+        }
+        if let Some(world) = &self.world {
+            world.check()?;
         }
         let [fewest, most] = self.objects;
         if fewest < 1 || fewest > most || most > 40 {

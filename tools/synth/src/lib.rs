@@ -38,7 +38,9 @@ mod robot;
 mod rollout;
 mod scene;
 mod sidecars;
+mod setting;
 mod tracks;
+mod world;
 mod write;
 
 pub use cameras::{
@@ -49,14 +51,14 @@ pub use config::SynthConfig;
 pub use droid::{
     DROID_CALIBRATION_FOLDER, DROID_FOLDER, DroidEpisode, Peculiar, droid_config, droid_robot, write_droid,
 };
-pub use episode::{Episode, Frame, generate_episode};
+pub use episode::{Episode, Frame, GuestStates, generate_episode, generate_episode_with};
 pub use error::{Error, Result};
 pub use frame::BodyFrame;
 pub use hdf5::{Hdf5Group, Hdf5Kind};
 pub use mesh::TriMesh;
 pub use motion::Action;
 pub use pointworld::{POINTWORLD_FOLDERS, write_pointworld, write_pointworld_shard};
-pub use render::View;
+pub use render::{Photo, View};
 pub use robot::{
     ARM_JOINT_NAMES, ARM_JOINTS, ARM_LIMITS, FINGER_CLOSED, FLANGE_LINK, ROBOT_SPEC_FILE, ROBOT_URDF_FILE, Robot,
     RobotState, TOOL_Z, gripper_for_gap, pad_gap, write_robot,
@@ -65,6 +67,9 @@ pub use rollout::{Distortions, write_rollout};
 pub use scene::{FIRST_OBJECT_ID, FIRST_SCENERY_ID};
 pub use sidecars::{EstimatorErrors, write_sidecars};
 pub use tracks::EpisodeTracks;
+pub use world::{
+    CalibrationRanges, GuestArm, Kinematics, Layouts, MOST_LINKS, Model, Props, SensorRanges, Sky, World,
+};
 pub use write::{
     DATASET_FILE, DatasetSummary, EPISODES_FOLDER, ROBOT_FOLDER, write_dataset, write_dataset_with, write_episode,
 };

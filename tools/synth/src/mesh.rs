@@ -111,6 +111,31 @@ impl TriMesh {
         if smooth { mesh.smoothed(0.76) } else { mesh }
     }
 
+    /// Triangles that others made, once for each side; whatever hangs together is one part, the larger parts have materials of
+    /// their own, up to `most_parts`. Triangles without an area are left out.
+    pub(crate) fn two_sided(positions: &[[f32; 3]], triangles: &[[u32; 3]], most_parts: usize) -> Self {
+        let part_of = connected(positions.len(), triangles);
+        let mut sizes = vec![0usize; positions.len()];
+        for [corner, ..] in triangles {
+            sizes[part_of[*corner as usize]] += 1;
+        }
+        let mut order: Vec<usize> = (0..sizes.len()).filter(|&part| sizes[part] > 0).collect();
+        order.sort_by_key(|&part| (std::cmp::Reverse(sizes[part]), part));
+        let mut material = vec![0u8; sizes.len()];
+        for (rank, &part) in order.iter().enumerate() {
+            material[part] = (rank % most_parts.max(1)) as u8;
+        }
+        let mut mesh = Self::default();
+        for triangle in triangles {
+            let [a, b, c] = triangle.map(|v| Vec3::from_array(positions[v as usize]).as_dvec3());
+            let before = mesh.triangles.len();
+            mesh.triangle([a, b, c]);
+            mesh.triangle([a, c, b]);
+            mesh.materials[before..].fill(material[part_of[triangle[0] as usize]]);
+        }
+        mesh.smoothed(0.76)
+    }
+
     fn quad(&mut self, [a, b, c, d]: [DVec3; 4]) {
         self.triangle([a, b, c]);
         self.triangle([a, c, d]);
@@ -258,6 +283,12 @@ impl TriMesh {
         self
     }
 
+    /// The same mesh, larger by a factor.
+    pub(crate) fn scaled(mut self, factor: f64) -> Self {
+        self.positions.iter_mut().for_each(|position| *position *= factor as f32);
+        self
+    }
+
     /// The same mesh shifted.
     pub(crate) fn at(self, x: f64, y: f64, z: f64) -> Self {
         self.placed(Pose::from_translation(DVec3::new(x, y, z)))
@@ -298,6 +329,24 @@ impl TriMesh {
         let term = |t: &[u32; 3]| corner(t[0]).dot(corner(t[1]).cross(corner(t[2])));
         self.triangles.iter().map(term).sum::<f64>() / 6.0
     }
+}
+
+/// The part of every vertex: the smallest vertex that it hangs together with.
+pub(crate) fn connected(vertices: usize, triangles: &[[u32; 3]]) -> Vec<usize> {
+    let mut parent: Vec<usize> = (0..vertices).collect();
+    fn root(parent: &mut [usize], mut v: usize) -> usize {
+        while parent[v] != v {
+            parent[v] = parent[parent[v]];
+            v = parent[v];
+        }
+        v
+    }
+    for triangle in triangles {
+        let roots = triangle.map(|v| root(&mut parent, v as usize));
+        let least = roots[0].min(roots[1]).min(roots[2]);
+        roots.iter().for_each(|&other| parent[other] = least);
+    }
+    (0..vertices).map(|v| root(&mut parent, v)).collect()
 }
 
 #[cfg(test)]

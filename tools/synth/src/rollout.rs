@@ -14,7 +14,7 @@ use rogs_geometry::{Camera, Pose};
 use crate::cameras::CAMERA_NAMES;
 use crate::episode::Episode;
 use crate::error::{Error, Result};
-use crate::render::View;
+use crate::render::{View, blurred};
 use crate::write::png;
 
 /// Source cameras of an episode; held-out ones are no part of a rollout.
@@ -76,7 +76,7 @@ impl Episode {
                 &view.rgb,
                 lens.width as usize,
                 lens.height as usize,
-                distortions.blur_px * share,
+                [distortions.blur_px * share; 2],
             );
         }
         views
@@ -113,40 +113,6 @@ pub fn write_rollout(
         Ok(())
     })?;
     Ok(draft.publish()?)
-}
-
-/// An image blurred by a Gaussian of this standard deviation, pixels; borders repeat. `[h, w, 3]`
-fn blurred(rgb: &[u8], width: usize, height: usize, sigma_px: f64) -> Vec<u8> {
-    if sigma_px < 0.05 {
-        return rgb.to_vec();
-    }
-    let reach = (3.0 * sigma_px).ceil() as isize;
-    let weights: Vec<f64> = (-reach..=reach)
-        .map(|at| (-0.5 * (at as f64 / sigma_px).powi(2)).exp())
-        .collect();
-    let total: f64 = weights.iter().sum();
-    let pass = |values: &[f64], length: usize, stride: usize, lines: &dyn Fn(usize) -> usize, count: usize| {
-        let mut out = vec![0.0; values.len()];
-        for line in 0..count {
-            let start = lines(line);
-            for place in 0..length {
-                let sum: f64 = weights
-                    .iter()
-                    .zip(-reach..)
-                    .map(|(weight, shift)| {
-                        let at = (place as isize + shift).clamp(0, length as isize - 1) as usize;
-                        weight * values[start + at * stride]
-                    })
-                    .sum();
-                out[start + place * stride] = sum / total;
-            }
-        }
-        out
-    };
-    let values: Vec<f64> = rgb.iter().map(|&value| f64::from(value)).collect();
-    let rows = pass(&values, width, 3, &|line| line / 3 * width * 3 + line % 3, height * 3);
-    let both = pass(&rows, height, width * 3, &|line| line, width * 3);
-    both.iter().map(|value| value.round().clamp(0.0, 255.0) as u8).collect()
 }
 
 #[cfg(test)]
@@ -225,17 +191,6 @@ mod tests {
             moved |= lagging[1].depth_m != now[1].depth_m;
         }
         assert!(moved, "the robot moves");
-    }
-
-    #[test]
-    fn a_blur_keeps_a_flat_image_and_spreads_a_point() {
-        assert_eq!(blurred(&[80; 5 * 4 * 3], 5, 4, 1.5), vec![80; 5 * 4 * 3]);
-        let mut point = vec![0u8; 9 * 9 * 3];
-        point[(4 * 9 + 4) * 3] = 255;
-        let spread = blurred(&point, 9, 9, 1.0);
-        let at = |x: usize, y: usize| spread[(y * 9 + x) * 3];
-        assert!(at(4, 4) < 60 && at(3, 4) > 15 && at(3, 4) == at(4, 3) && at(5, 4) == at(4, 5));
-        assert!(spread.iter().skip(1).step_by(3).all(|&green| green == 0));
     }
 
     #[test]

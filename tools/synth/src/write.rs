@@ -262,7 +262,9 @@ fn states_csv(episode: &Episode) -> String {
 fn description(episode: &Episode, model: &str) -> layout::Episode {
     let camera = |index: usize| {
         let EpisodeCamera {
-            lens, recorded_mount, ..
+            recorded_lens: lens,
+            recorded_mount,
+            ..
         } = &episode.cameras[index];
         let name = CAMERA_NAMES[index].to_owned();
         layout::EpisodeCamera {

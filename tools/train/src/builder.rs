@@ -4,7 +4,7 @@ use rogs_geometry::{Base, Camera, Pose, PosedCamera, Recon};
 use rogs_robot_maps::{SupportRule, valid_support};
 use rogs_schemas::FrameIndex;
 use rogs_schemas::records::robot::NO_LINK;
-use rogs_synth::{Episode, EpisodeCamera, FIRST_OBJECT_ID, View};
+use rogs_synth::{Episode, FIRST_OBJECT_ID, View};
 
 use crate::config::DataSettings;
 use crate::plan::ClipPlan;
@@ -44,28 +44,53 @@ impl<'a> ClipBuilder<'a> {
 
     /// Camera-to-base pose as it is recorded.
     pub(crate) fn recorded(&self, camera: usize, frame: usize) -> Pose<Base, Camera> {
-        let camera = &self.episode.cameras[camera];
-        let recorded = EpisodeCamera {
-            mount: camera.recorded_mount,
-            ..*camera
-        };
-        recorded.base_from_camera(&self.episode.base_from_flange(frame))
+        self.episode.recorded_from_camera(camera, frame)
     }
 
     /// A camera in the reconstruction frame, as its pose is recorded.
     pub(crate) fn posed(&self, camera: usize, frame: usize) -> PosedCamera<Recon> {
-        let lens = self.episode.cameras[camera].lens;
+        let lens = self.episode.cameras[camera].recorded_lens;
         PosedCamera::new(lens, self.recorded(camera, frame)).in_frame(&self.recon_from_base)
     }
 }
 
-/// Link of every pixel, [`NO_LINK`] where no robot is seen. `[A]`
-pub(crate) fn links(view: &View) -> Vec<u8> {
-    let link = |&id: &u8| if id < FIRST_OBJECT_ID { id } else { NO_LINK };
-    view.id.iter().map(link).collect()
+/// What is known of the robot in a view: its mesh as the recorded camera has it.
+pub(crate) struct RobotSeen {
+    /// Camera z, metres; 0 where there is no robot. `[A]`
+    pub(crate) depth_m: Vec<f32>,
+    /// Link, [`NO_LINK`] where no robot is. `[A]`
+    pub(crate) link: Vec<u8>,
+    /// Valid support by the rule of `robot-maps`, 1 or 0. `[A]`
+    pub(crate) support: Vec<u8>,
+    /// Whether it lies beside the robot of the picture, because the calibration is wrong.
+    pub(crate) displaced: bool,
 }
 
-/// Valid robot support by the rule of `robot-maps`, 1 or 0. `[A]`
-pub(crate) fn support(view: &View, [height, width]: [u32; 2]) -> Vec<u8> {
-    valid_support(&view.depth_m, &links(view), width, height, &SupportRule::default())
+impl ClipBuilder<'_> {
+    /// The robot in a view of a camera. With an exact calibration it is the robot of the picture, where nothing hides it.
+    pub(crate) fn robot_seen(&self, view: &View, camera: usize, frame: usize) -> RobotSeen {
+        let eye = &self.episode.cameras[camera];
+        let displaced = self.data.world.is_some() && (eye.mount, eye.lens) != (eye.recorded_mount, eye.recorded_lens);
+        let (depth_m, id) = if displaced {
+            self.episode.robot_as_recorded(camera, frame)
+        } else {
+            (view.depth_m.clone(), view.id.clone())
+        };
+        let [height, width] = self.data.size;
+        let link: Vec<u8> = id
+            .iter()
+            .map(|&id| if id < FIRST_OBJECT_ID { id } else { NO_LINK })
+            .collect();
+        let support = valid_support(&depth_m, &link, width, height, &SupportRule::default());
+        let depth_m = depth_m
+            .iter()
+            .zip(&link)
+            .map(|(&depth, &link)| if link == NO_LINK { 0.0 } else { depth });
+        RobotSeen {
+            depth_m: depth_m.collect(),
+            link,
+            support,
+            displaced,
+        }
+    }
 }

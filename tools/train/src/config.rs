@@ -6,11 +6,13 @@ use std::path::{Path, PathBuf};
 use burn::tensor::Device;
 use rogs_lift::ProductPrecision;
 use rogs_stage1::Stage1Config;
+use rogs_synth::World;
 use rogs_tensors::device;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
+use crate::props::RobotSettings;
 
 /// A Stage-1 training run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -73,6 +75,15 @@ pub struct DataSettings {
     pub anchoring_dropout: f64,
     /// Errors of the recorded extrinsics, standard deviations in metres and radians.
     pub calibration_noise: Option<[f64; 2]>,
+    /// How wide the worlds of procedural episodes are; without it, all are plain robot cells.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub world: Option<World>,
+    /// Folder of photographs, models and light probes for wide worlds.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub props: Option<PathBuf>,
+    /// Other robots for wide worlds.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub robots: Vec<RobotSettings>,
 }
 
 /// AdamW with a learning rate per group of parameters.
@@ -174,6 +185,9 @@ impl Default for DataSettings {
             conditioning_dropout: 0.1,
             anchoring_dropout: 0.0,
             calibration_noise: None,
+            world: None,
+            props: None,
+            robots: Vec::new(),
         }
     }
 }
@@ -283,10 +297,8 @@ impl Stage1Training {
     /// With line and column where the file cannot be understood, or the setting that is out of range.
     pub fn read(path: &Path) -> Result<Self> {
         let settings = read_toml(path, |settings: &mut Self| {
-            [&mut settings.start, &mut settings.lpips]
-                .into_iter()
-                .flatten()
-                .collect()
+            let given = [&mut settings.start, &mut settings.lpips].into_iter().flatten();
+            given.chain(settings.data.paths()).collect()
         })?;
         settings.check()?;
         Ok(settings)
@@ -361,6 +373,12 @@ impl Stage1Training {
 }
 
 impl DataSettings {
+    /// The paths that are named.
+    pub(crate) fn paths(&mut self) -> impl Iterator<Item = &mut PathBuf> {
+        let robots = self.robots.iter_mut().map(|robot| &mut robot.urdf);
+        self.props.iter_mut().chain(robots)
+    }
+
     /// Checks every setting for a network of this patch side.
     ///
     /// # Errors
@@ -393,6 +411,16 @@ impl DataSettings {
         if self.images_per_step < 3 * most {
             let rule = "at least 3 cameras times the most source times";
             return wrong("data.images_per_step", self.images_per_step.to_string(), rule);
+        }
+        if let Some(world) = &self.world {
+            world.check()?;
+            if self.calibration_noise.is_some() {
+                let rule = "absent beside `data.world`, whose table `calibration` says it";
+                return wrong("data.calibration_noise", format!("{:?}", self.calibration_noise), rule);
+            }
+        } else if self.props.is_some() || !self.robots.is_empty() {
+            let rule = "beside a table `[data.world]`, which says how often it is used";
+            return wrong("data.props or data.robots", "given".into(), rule);
         }
         for (what, share) in [
             ("data.conditioning_dropout", self.conditioning_dropout),

@@ -15,6 +15,7 @@ pub mod latent;
 mod perceptual;
 mod picture;
 pub mod plan;
+pub mod props;
 pub mod records;
 mod report;
 pub mod run;

@@ -2,10 +2,11 @@
 
 use rogs_random::Pcg64;
 use rogs_schemas::{EpisodeFrame, FrameIndex};
-use rogs_synth::{Episode, Resolution, SynthConfig, generate_episode};
+use rogs_synth::{Episode, Resolution, SynthConfig, generate_episode_with};
 
 use crate::config::DataSettings;
 use crate::error::{Error, Result};
+use crate::props::props;
 
 /// Frames of a procedural episode.
 const EPISODE_FRAMES: u32 = 33;
@@ -84,9 +85,10 @@ impl ClipPlan {
             },
             calibration_noise: data.calibration_noise,
             anchor_frame: Some(self.first.0 + self.sources[0].0),
+            world: data.world.clone(),
             ..SynthConfig::default()
         };
-        Ok(generate_episode(&config, self.seed)?)
+        Ok(generate_episode_with(&config, self.seed, &*props(data)?)?)
     }
 }
 

@@ -6,11 +6,11 @@ use rogs_schemas::records::clip::{
 };
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::origin::ReferenceOrigin;
-use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
+use rogs_schemas::records::robot::{RobotMap, RobotMaps};
 use rogs_schemas::{CameraIndex, ClipId, EpisodeFrame, FrameIndex};
 use rogs_synth::{ARM_JOINT_NAMES, CAMERA_NAMES, CAMERAS, FIRST_OBJECT_ID, View};
 
-use crate::builder::{ClipBuilder, DEPTH_RANGE_M, SOURCE_CAMERAS, links, support};
+use crate::builder::{ClipBuilder, DEPTH_RANGE_M, SOURCE_CAMERAS};
 use crate::config::DataSettings;
 use crate::error::Result;
 use crate::plan::ClipPlan;
@@ -81,7 +81,7 @@ impl ClipBuilder<'_> {
             partner: index
                 .checked_sub(SOURCE_CAMERAS)
                 .map(|partner| CameraIndex(partner as u32)),
-            intrinsics: self.episode.cameras[index].lens.intrinsics,
+            intrinsics: self.episode.cameras[index].recorded_lens.intrinsics,
             mount: CameraMount::Trajectory {
                 base_from_camera: FrameIndex::first(frames)
                     .map(|frame| self.recorded(index, self.frame(frame)).to_rigid())
@@ -121,8 +121,14 @@ impl ClipBuilder<'_> {
             width,
             cameras: cameras.collect(),
             robot: RobotStates {
-                joint_names: ARM_JOINT_NAMES.map(str::to_owned).to_vec(),
-                positions: states.clone().flat_map(|state| state.joints).collect(),
+                joint_names: match &self.episode.guest {
+                    None => ARM_JOINT_NAMES.map(str::to_owned).to_vec(),
+                    Some(guest) => guest.joint_names.clone(),
+                },
+                positions: match &self.episode.guest {
+                    None => states.clone().flat_map(|state| state.joints).collect(),
+                    Some(guest) => guest.joints[self.plan.first.at()..][..frames].concat(),
+                },
                 gripper: states.map(|state| state.gripper).collect(),
             },
             tracks: Some(self.tracks(&sources[0])),
@@ -169,15 +175,13 @@ impl ClipBuilder<'_> {
         let maps = clip.source_views().into_iter().map(|view| {
             let time = self.plan.sources.iter().position(|&frame| frame == view.frame);
             let picture = &sources[time.unwrap_or(0)][view.camera.at()];
-            let link = links(picture);
+            let seen = self.robot_seen(picture, view.camera.at(), self.frame(view.frame));
             RobotMap {
                 camera: view.camera,
                 frame: view.frame,
-                depth_m: (picture.depth_m.iter().zip(&link))
-                    .map(|(&depth, &link)| if link == NO_LINK { 0.0 } else { depth })
-                    .collect(),
-                link,
-                support: support(picture, self.data.size),
+                depth_m: seen.depth_m,
+                link: seen.link,
+                support: seen.support,
             }
         });
         RobotMaps {

@@ -11,7 +11,7 @@ use rogs_splat::RasterCamera;
 use rogs_stage1::NetworkCamera;
 use rogs_synth::{FIRST_OBJECT_ID, FIRST_SCENERY_ID, View};
 
-use crate::builder::{ClipBuilder, DEPTH_RANGE_M, SOURCE_CAMERAS, support};
+use crate::builder::{ClipBuilder, DEPTH_RANGE_M, RobotSeen, SOURCE_CAMERAS};
 use crate::config::DataSettings;
 use crate::error::Result;
 use crate::plan::ClipPlan;
@@ -101,6 +101,12 @@ pub struct Target {
     pub support: Vec<f32>,
 }
 
+/// A picture of a source camera, and the robot's mesh in it.
+struct Source {
+    view: View,
+    robot: RobotSeen,
+}
+
 /// What a [`Query`] says of one view.
 struct Motion {
     kappa: Vec<f32>,
@@ -123,8 +129,16 @@ impl ClipBuilder<'_> {
     pub(crate) fn sample(&self, with_targets: bool) -> Sample {
         let [height, width] = self.data.size.map(|side| side as usize);
         let area = height * width;
-        let sources: Vec<Vec<View>> = (self.plan.sources.iter())
-            .map(|&frame| self.episode.render_cameras(self.frame(frame), &[0, 1, 2]))
+        let sources: Vec<Vec<Source>> = (self.plan.sources.iter())
+            .map(|&frame| {
+                let frame = self.frame(frame);
+                let views = self.episode.render_cameras(frame, &[0, 1, 2]);
+                let with_robot = |(camera, view): (usize, View)| Source {
+                    robot: self.robot_seen(&view, camera, frame),
+                    view,
+                };
+                views.into_iter().enumerate().map(with_robot).collect()
+            })
             .collect();
         let order: Vec<(usize, usize)> = (0..SOURCE_CAMERAS)
             .flat_map(|camera| (0..sources.len()).map(move |time| (camera, time)))
@@ -150,7 +164,7 @@ impl ClipBuilder<'_> {
         let mark = |on: bool| f32::from(u8::from(on));
         let footprint_px = LiftParams::default().footprint_px;
         for &(camera, time) in &order {
-            let (view, clip_frame) = (&sources[time][camera], self.plan.sources[time]);
+            let (Source { view, robot }, clip_frame) = (&sources[time][camera], self.plan.sources[time]);
             let frame = self.frame(clip_frame);
             for channel in 0..3 {
                 let values = view.rgb[channel..].iter().step_by(3);
@@ -159,9 +173,9 @@ impl ClipBuilder<'_> {
             let (depth, valid) = reference_depth(view);
             sample.depth_iu.extend(depth);
             sample.valid.extend(valid);
-            let k = &self.episode.cameras[camera].lens.intrinsics;
+            let k = &self.episode.cameras[camera].recorded_lens.intrinsics;
             let footprint = footprint_px.map(|pixels| pixels / k.fx.min(k.fy) as f32);
-            for (&depth_m, supported) in view.depth_m.iter().zip(support(view, self.data.size)) {
+            for (&depth_m, &supported) in robot.depth_m.iter().zip(&robot.support) {
                 let supported = supported != 0;
                 let depth = if supported { iu_from_m(depth_m) } else { 0.0 };
                 sample.mesh_depth_iu.push(depth);
@@ -189,7 +203,7 @@ impl ClipBuilder<'_> {
         sample
     }
 
-    fn query(&self, query: FrameIndex, order: &[(usize, usize)], sources: &[Vec<View>], with_targets: bool) -> Query {
+    fn query(&self, query: FrameIndex, order: &[(usize, usize)], sources: &[Vec<Source>], with_targets: bool) -> Query {
         let to = self.frame(query);
         let maps: Vec<Motion> = (order.par_iter())
             .map(|&(camera, time)| {
@@ -210,7 +224,9 @@ impl ClipBuilder<'_> {
                 rgb: view.rgb.iter().map(|&value| f32::from(value) / 255.0).collect(),
                 depth_iu,
                 valid,
-                support: support(view, self.data.size).into_iter().map(f32::from).collect(),
+                support: (self.robot_seen(view, camera, to).support.into_iter())
+                    .map(f32::from)
+                    .collect(),
             }
         });
         Query {
@@ -227,10 +243,13 @@ impl ClipBuilder<'_> {
     }
 
     /// How one view's pixels move from frame to frame.
-    fn motion(&self, view: &View, camera: usize, from: usize, to: usize) -> Motion {
-        let lens = self.episode.cameras[camera].lens;
-        let (width, area) = (lens.width as usize, view.id.len());
+    fn motion(&self, source: &Source, camera: usize, from: usize, to: usize) -> Motion {
+        let Source { view, robot } = source;
+        let eye = &self.episode.cameras[camera];
+        let (width, area) = (eye.lens.width as usize, view.id.len());
         let recon_from_camera = self.recon_from_base * self.episode.base_from_camera(camera, from);
+        // The mesh lies where the recorded camera has it, and moves as kinematics say.
+        let recon_from_recorded = self.recon_from_base * self.recorded(camera, from);
         let base_from_recon = self.recon_from_base.inverse();
         // How each body moves, in the reconstruction frame; `None` where it stays.
         let moves: Vec<Option<Pose<Recon, Recon>>> = (0..FIRST_SCENERY_ID)
@@ -240,15 +259,19 @@ impl ClipBuilder<'_> {
             })
             .collect();
         let prior = self.prior(camera, from);
-        let support = support(view, self.data.size);
         let mut kappa = vec![0.0f32; KAPPA_CHANNELS * area];
         let (mut fk_slope, mut displacement_iu) = (vec![0.0f32; 3 * area], vec![0.0f32; 3 * area]);
         for pixel in 0..area {
             let (row, column) = (pixel / width, pixel % width);
             kappa[plane::AVAILABLE * area + pixel] = 1.0;
             kappa[plane::PRIOR * area + pixel] = prior.at(column as u32, row as u32);
-            let (id, depth_m) = (view.id[pixel], view.depth_m[pixel]);
-            let supported = support[pixel] != 0;
+            let supported = robot.support[pixel] != 0;
+            let anchored = supported && robot.displaced;
+            let (id, depth_m, lens, recon_from_camera) = if anchored {
+                (robot.link[pixel], robot.depth_m[pixel], &eye.recorded_lens, &recon_from_recorded)
+            } else {
+                (view.id[pixel], view.depth_m[pixel], &eye.lens, &recon_from_camera)
+            };
             if supported {
                 kappa[plane::SUPPORT * area + pixel] = 1.0;
                 kappa[plane::DEPTH * area + pixel] = depth_m;
@@ -277,7 +300,7 @@ impl ClipBuilder<'_> {
     }
 
     fn prior(&self, camera: usize, frame: usize) -> GripperPrior {
-        let k = self.episode.cameras[camera].lens.intrinsics;
+        let k = self.episode.cameras[camera].recorded_lens.intrinsics;
         let tool = self.recorded(camera, frame).inverse().point(self.episode.tool(frame));
         let centre_px = if tool.z > 0.0 {
             [tool.x / tool.z * k.fx + k.cx, tool.y / tool.z * k.fy + k.cy]

@@ -129,7 +129,8 @@ impl RobotModel {
         root_from_link.iter().map(|pose| base_from_root * *pose).collect()
     }
 
-    fn follow_mimics(&self, state: &mut JointState) {
+    /// Gives mimic joints what their drivers ask for.
+    pub fn follow_mimics(&self, state: &mut JointState) {
         for (index, joint) in self.joints.iter().enumerate() {
             if let Some(mimic) = joint.mimic {
                 state.values[index] = mimic.multiplier * state.values[mimic.driver] + mimic.offset;

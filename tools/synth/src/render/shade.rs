@@ -2,12 +2,14 @@
 
 use std::sync::OnceLock;
 
-use glam::{Affine3A, Vec3, Vec3A};
+use glam::{Affine3A, Mat3, Vec3, Vec3A};
 use rogs_geometry::{Base, Camera, Pose};
 use rogs_schemas::Intrinsics;
 
+use super::photo::Photo;
 use super::raster::NOBODY;
 use super::seen::Seen;
+use super::sensor::{Sensor, pixel_noise};
 use super::shadow::LightMap;
 use super::texture::mix;
 use crate::frame::BodyFrame;
@@ -22,6 +24,8 @@ pub(super) struct BodyView {
     key: Vec3,
     fill: Vec3,
     up: Vec3,
+    /// Turns a direction of the body into one of the base.
+    base_from_body: Mat3,
 }
 
 impl BodyView {
@@ -39,21 +43,9 @@ impl BodyView {
             key: turn(lights.towards_key),
             fill: turn(lights.towards_fill),
             up: turn(Vec3::Z),
+            base_from_body: base_from_body.rotation.as_mat3(),
         }
     }
-}
-
-/// Imperfections of a camera's picture.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Sensor {
-    /// Factor on linear light.
-    pub exposure: f32,
-    /// Gains of red, green and blue: white balance.
-    pub balance: [f32; 3],
-    /// Darkening at the corners, a share.
-    pub vignette: f32,
-    /// Standard deviation of the noise, 8-bit levels.
-    pub noise: f32,
 }
 
 /// Everything that determines colours of one image.
@@ -61,6 +53,7 @@ pub(super) struct Shader<'a> {
     pub bodies: &'a [Body],
     pub views: &'a [BodyView],
     pub lights: &'a Lights,
+    pub photos: &'a [Photo],
     pub key: &'a LightMap,
     pub sky: &'a LightMap,
     pub base_from_camera: Affine3A,
@@ -158,7 +151,7 @@ impl Shader<'_> {
         // Slanted surfaces cover more of the texture with one pixel.
         let slant = (-facing / (seen.normal.as_vec3().length() * ray.length())).max(0.15);
         let footprint = depth / (k.fx as f32 * slant.sqrt());
-        let albedo = material.albedo(point, footprint);
+        let albedo = material.albedo((point, normal), footprint, self.photos);
         let towards_eye = (view.camera - point).normalize_or(normal);
 
         let at_base = self.base_from_camera.transform_point3a(in_camera.into());
@@ -166,7 +159,7 @@ impl Shader<'_> {
         let mut light = Vec3::ZERO;
         let mut gloss = 0.0;
         if key_cosine > 0.0 {
-            let bias = 0.0035 + 0.002 / key_cosine.max(0.2);
+            let bias = (0.0035 + 0.002 / key_cosine.max(0.2)) * self.lights.shadows.half_width;
             let spread = (self.lights.softness * self.key.texels * 0.67).max(1.0);
             let lit = self
                 .key
@@ -186,7 +179,11 @@ impl Shader<'_> {
         let open = self
             .sky
             .openness(self.sky.map_from_base.transform_point3a(lifted), turn);
-        light += self.lights.ground.lerp(self.lights.sky, upward) * open;
+        light += open
+            * match &self.lights.around {
+                None => self.lights.ground.lerp(self.lights.sky, upward),
+                Some(sky) => sky.on(view.base_from_body * normal) * self.lights.sky,
+            };
         albedo * light + self.lights.key * gloss
     }
 }
@@ -209,28 +206,9 @@ fn srgb_table() -> &'static [f32; TABLE] {
     })
 }
 
-/// Three numbers of mean 0 and deviation 1, nearly normal: sums of four random bytes.
-fn pixel_noise(key: u32, pixel: u32) -> [f32; 3] {
-    let base = mix(key ^ pixel.wrapping_mul(0x9e37_79b9));
-    [1u32, 2, 3].map(|channel| {
-        let bytes = mix(base.wrapping_add(channel.wrapping_mul(0x85eb_ca6b))).to_le_bytes();
-        let sum: u32 = bytes.iter().map(|&b| u32::from(b)).sum();
-        // Four bytes: mean 510, deviation sqrt(4 (256^2 - 1) / 12).
-        (sum as f32 - 510.0) / 147.8
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn noise_has_mean_zero_and_deviation_one() {
-        let values: Vec<f32> = (0..20_000).flat_map(|pixel| pixel_noise(7, pixel)).collect();
-        let mean = values.iter().sum::<f32>() / values.len() as f32;
-        let variance = values.iter().map(|v| (v - mean) * (v - mean)).sum::<f32>() / values.len() as f32;
-        assert!(mean.abs() < 0.02 && (variance - 1.0).abs() < 0.03, "{mean} {variance}");
-    }
 
     #[test]
     fn the_table_encodes_as_srgb() {

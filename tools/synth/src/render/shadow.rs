@@ -32,21 +32,34 @@ const FAR_RING: f32 = 0.07;
 /// What rises less than this covers nothing, metres.
 const LEAST_RISE: f32 = 0.004;
 
-/// Half width of the region that casts shadows, metres, and its middle.
-const REACH: f32 = 1.0;
-const MIDDLE: Vec3A = Vec3A::new(0.40, 0.0, 0.15);
+/// Where things throw shadows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct ShadowRegion {
+    /// Half its width, metres.
+    pub half_width: f32,
+    /// Its middle in the base frame, metres.
+    pub middle: Vec3A,
+}
+
+impl ShadowRegion {
+    /// The workspace of the robot.
+    pub(crate) const WORKSPACE: Self = Self {
+        half_width: 1.0,
+        middle: Vec3A::new(0.40, 0.0, 0.15),
+    };
+}
 
 impl LightMap {
     /// An empty map of `size` x `size` texels for light from the unit vector `towards`.
-    pub(crate) fn new(towards: Vec3, size: usize) -> Self {
+    pub(crate) fn new(towards: Vec3, size: usize, region: ShadowRegion) -> Self {
         let z = Vec3A::from(towards);
         let x = if z.x.abs() < 0.9 { Vec3A::X } else { Vec3A::Y };
         let x = (x - z * z.dot(x)).normalize();
         let y = z.cross(x);
-        let texels = size as f32 / (2.0 * REACH);
+        let texels = size as f32 / (2.0 * region.half_width);
         // Rows of the rotation are the axes; columns and rows are scaled to texels, height stays in metres.
         let rotation = Mat3A::from_cols(x * texels, y * texels, z).transpose();
-        let shift = Vec3A::new(0.5 * size as f32, 0.5 * size as f32, 0.0) - rotation * MIDDLE;
+        let shift = Vec3A::new(0.5 * size as f32, 0.5 * size as f32, 0.0) - rotation * region.middle;
         let mut layer = Layer::default();
         layer.reset(size, size, [0.0, 0.0], f32::NEG_INFINITY);
         Self {
@@ -175,7 +188,7 @@ mod tests {
     use crate::mesh::TriMesh;
 
     fn drawn(towards: Vec3) -> LightMap {
-        let mut map = LightMap::new(towards, 400);
+        let mut map = LightMap::new(towards, 400, ShadowRegion::WORKSPACE);
         let mesh = TriMesh::cuboid([0.1, 0.1, 0.1]).at(0.4, 0.0, 0.1);
         let corners: Vec<Vec3A> = mesh
             .positions

@@ -2,6 +2,7 @@
 
 use std::sync::OnceLock;
 
+use super::photo::Photo;
 use crate::math::{floor, floor3};
 use glam::Vec3;
 
@@ -38,6 +39,8 @@ pub(crate) enum Pattern {
     Tiles,
     /// Patches of many colours around the two, like a shelf or posters.
     Patches,
+    /// The photograph of this index, tinted by the first colour, seen along the axis that the surface faces most.
+    Photo(u16),
 }
 
 impl Material {
@@ -52,8 +55,9 @@ impl Material {
         }
     }
 
-    /// Albedo at a point of the body; details smaller than `footprint` metres fade out.
-    pub(crate) fn albedo(&self, point: Vec3, footprint: f32) -> Vec3 {
+    /// Albedo at a point of the body, whose normal says from where a photograph is seen; details smaller than `footprint`
+    /// metres fade out.
+    pub(crate) fn albedo(&self, (point, normal): (Vec3, Vec3), footprint: f32, photos: &[Photo]) -> Vec3 {
         let p = (point + self.offset) / self.scale;
         let blur = footprint / self.scale;
         let [a, b] = self.colours;
@@ -66,6 +70,9 @@ impl Material {
             Pattern::Dots => a.lerp(b, dots(p, blur)),
             Pattern::Tiles => tiles(p, blur, a, b),
             Pattern::Patches => patches(p, blur, a, b),
+            Pattern::Photo(index) => photos
+                .get(usize::from(index))
+                .map_or(a, |photo| a * photo.facing(p, normal, blur)),
         };
         if self.grain == 0.0 {
             return colour;

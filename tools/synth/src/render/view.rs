@@ -9,7 +9,9 @@ use rogs_schemas::Intrinsics;
 
 use super::raster::{Layer, NOBODY, Polygon};
 use super::seen::Seen;
-use super::shade::{BodyView, Sensor, Shader};
+use super::photo::Photo;
+use super::sensor::Sensor;
+use super::shade::{BodyView, Shader};
 use super::shadow::LightMap;
 use crate::frame::BodyFrame;
 use crate::math::single;
@@ -36,15 +38,21 @@ pub(crate) struct LitScene<'a> {
     /// Body-to-base, one a body.
     pub poses: &'a [Pose<Base, BodyFrame>],
     pub lights: &'a Lights,
+    photos: &'a [Photo],
     key: LightMap,
     sky: LightMap,
 }
 
 impl<'a> LitScene<'a> {
     /// Draws the maps of the lights.
-    pub(crate) fn new(bodies: &'a [Body], poses: &'a [Pose<Base, BodyFrame>], lights: &'a Lights) -> Self {
+    pub(crate) fn new(
+        bodies: &'a [Body],
+        poses: &'a [Pose<Base, BodyFrame>],
+        lights: &'a Lights,
+        photos: &'a [Photo],
+    ) -> Self {
         let draw = |(towards, size): (Vec3, usize)| {
-            let mut map = LightMap::new(towards, size);
+            let mut map = LightMap::new(towards, size, lights.shadows);
             let mut corners = Vec::new();
             for (body, pose) in bodies.iter().zip(poses).filter(|(body, _)| body.shadow) {
                 let map_from_body = map.map_from_base * single(pose);
@@ -70,6 +78,7 @@ impl<'a> LitScene<'a> {
             bodies,
             poses,
             lights,
+            photos,
             key,
             sky,
         }
@@ -121,13 +130,14 @@ pub(crate) fn render_view(
         for (index, (body, pose)) in scene.bodies.iter().zip(scene.poses).enumerate() {
             let camera_from_body = camera_from_base * *pose;
             if in_sight(&camera_from_body, body.mesh.sphere, intrinsics, [height, width]) {
-                draw_body(scratch, index, body, &camera_from_body, intrinsics);
+                draw_body(scratch, OFFSETS.len(), (index, body), &camera_from_body, intrinsics);
             }
         }
         let shader = Shader {
             bodies: scene.bodies,
             views: &body_views,
             lights: scene.lights,
+            photos: scene.photos,
             key: &scene.key,
             sky: &scene.sky,
             base_from_camera: single(base_from_camera),
@@ -138,9 +148,10 @@ pub(crate) fn render_view(
         let rgb = shader.image(
             &scratch.layers.each_ref().map(|layer| layer.owner.as_slice()),
             &scratch.seen,
-            sensor,
+            &sensor.before_finish(),
             noise_key,
         );
+        let rgb = sensor.finished(rgb, [height, width], noise_key);
         View { rgb, depth_m, id }
     })
 }
@@ -165,10 +176,33 @@ fn in_sight(
         && side(DVec3::new(0.0, -k.fy, height as f64 - k.cy))
 }
 
+/// Depth and ids of bodies in front of one camera, as [`View`] has them, without a picture.
+pub(crate) fn render_geometry(
+    bodies: &[Body],
+    poses: &[Pose<Base, BodyFrame>],
+    base_from_camera: &Pose<Base, Camera>,
+    intrinsics: &Intrinsics,
+    [height, width]: [usize; 2],
+) -> (Vec<f32>, Vec<u8>) {
+    SCRATCH.with_borrow_mut(|scratch| {
+        let camera_from_base = base_from_camera.inverse();
+        scratch.layers[0].reset(width, height, OFFSETS[0], 0.0);
+        scratch.seen.clear();
+        for (index, (body, pose)) in bodies.iter().zip(poses).enumerate() {
+            let camera_from_body = camera_from_base * *pose;
+            if in_sight(&camera_from_body, body.mesh.sphere, intrinsics, [height, width]) {
+                draw_body(scratch, 1, (index, body), &camera_from_body, intrinsics);
+            }
+        }
+        depth_and_ids(scratch, bodies, intrinsics, [height, width])
+    })
+}
+
+/// Draws a body into the first `samples` layers.
 fn draw_body(
     scratch: &mut Scratch,
-    index: usize,
-    body: &Body,
+    samples: usize,
+    (index, body): (usize, &Body),
     camera_from_body: &Pose<Camera, BodyFrame>,
     k: &Intrinsics,
 ) {
@@ -213,7 +247,7 @@ fn draw_body(
             face: face as u32,
             surface,
         });
-        for layer in layers.iter_mut() {
+        for layer in &mut layers[..samples] {
             layer.draw(&polygon, key, limit as f32, owner);
         }
     }

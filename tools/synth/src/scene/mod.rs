@@ -10,10 +10,11 @@ use rogs_geometry::{Base, Pose};
 
 use crate::frame::BodyFrame;
 use crate::math::{Draw, hsv};
-use crate::render::{Material, Pattern, PreparedMesh};
+use crate::render::{Material, Pattern, PreparedMesh, ShadowRegion};
+use crate::world::Sky;
 
 pub(crate) use objects::{Object, draw_objects};
-pub(crate) use room::draw_room;
+pub(crate) use room::{Builder, Room, draw_room};
 
 /// Id of the first movable object in the id maps; robot links come before.
 pub const FIRST_OBJECT_ID: u8 = 64;
@@ -46,6 +47,10 @@ pub(crate) struct Lights {
     pub fill: Vec3,
     pub sky: Vec3,
     pub ground: Vec3,
+    /// Light from all around instead of sky and ground; `sky` is then its strength.
+    pub around: Option<Sky>,
+    /// Where things throw shadows.
+    pub shadows: ShadowRegion,
 }
 
 pub(crate) fn draw_lights(draw: &mut Draw) -> Lights {
@@ -71,6 +76,8 @@ pub(crate) fn draw_lights(draw: &mut Draw) -> Lights {
         fill: tint(-0.5 * warmth) * draw.range(0.05, 0.22) as f32,
         sky: tint(-0.6 * warmth) * sky,
         ground: tint(0.5 * warmth) * sky * draw.range(0.35, 0.6) as f32,
+        around: None,
+        shadows: ShadowRegion::WORKSPACE,
     }
 }
 

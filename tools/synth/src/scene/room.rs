@@ -19,25 +19,37 @@ pub(crate) struct Room {
     pub table_z: f64,
 }
 
-struct Builder {
-    bodies: Vec<Body>,
+/// Collects scenery.
+#[derive(Debug, Default)]
+pub(crate) struct Builder {
+    pub(crate) bodies: Vec<Body>,
 }
 
 impl Builder {
-    fn add(&mut self, mesh: TriMesh, pose: Pose<Base, BodyFrame>, material: Material, shadow: bool) {
-        let id = FIRST_SCENERY_ID.saturating_add(self.bodies.len() as u8);
-        let mesh = Arc::new(PreparedMesh::new(mesh));
+    pub(crate) fn add(&mut self, mesh: TriMesh, pose: Pose<Base, BodyFrame>, material: Material, shadow: bool) {
+        self.add_prepared(Arc::new(PreparedMesh::new(mesh)), pose, vec![material], shadow);
+    }
+
+    pub(crate) fn add_prepared(
+        &mut self,
+        mesh: Arc<PreparedMesh>,
+        pose: Pose<Base, BodyFrame>,
+        materials: Vec<Material>,
+        shadow: bool,
+    ) {
+        // The last number says that nothing is seen; what comes after the one before it shares its id.
+        let id = FIRST_SCENERY_ID.saturating_add(self.bodies.len() as u8).min(u8::MAX - 1);
         self.bodies.push(Body {
             id,
             mesh,
-            materials: vec![material],
+            materials,
             fixed: Some(pose),
             shadow,
         });
     }
 
     /// A box between two corners.
-    fn block(&mut self, low: [f64; 3], high: [f64; 3], material: Material, shadow: bool) {
+    pub(crate) fn block(&mut self, low: [f64; 3], high: [f64; 3], material: Material, shadow: bool) {
         let (low, high) = (DVec3::from_array(low), DVec3::from_array(high));
         let pose = Pose::from_translation(0.5 * (low + high));
         self.add(TriMesh::cuboid((0.5 * (high - low)).to_array()), pose, material, shadow);
@@ -45,7 +57,7 @@ impl Builder {
 }
 
 pub(crate) fn draw_room(draw: &mut Draw) -> Room {
-    let mut room = Builder { bodies: Vec::new() };
+    let mut room = Builder::default();
     // Either the robot is bolted to the table, or the table stands in front of the robot's own stand.
     let bolted = draw.chance(0.5);
     let table_z = if bolted { 0.0 } else { draw.range(-0.14, 0.03) };

@@ -91,7 +91,7 @@ impl Stage2Training {
     pub fn read(path: &Path) -> Result<Self> {
         let settings = config::read_toml(path, |settings: &mut Self| {
             let given = [&mut settings.start, &mut settings.lpips].into_iter().flatten();
-            given.chain([&mut settings.lift]).collect()
+            given.chain([&mut settings.lift]).chain(settings.data.paths()).collect()
         })?;
         settings.check()?;
         Ok(settings)
