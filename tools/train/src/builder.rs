@@ -31,7 +31,7 @@ impl<'a> ClipBuilder<'a> {
             episode,
             recon_from_base: Pose::IDENTITY,
         };
-        let base_from_first = builder.recorded(0, builder.frame(plan.sources[0]));
+        let base_from_first = builder.recorded(plan.cameras[0], builder.frame(plan.sources[0]));
         // The reconstruction frame is that of the first camera at the first source time.
         builder.recon_from_base = base_from_first.inverse().relabelled();
         builder
@@ -76,7 +76,7 @@ impl ClipBuilder<'_> {
         } else {
             (view.depth_m.clone(), view.id.clone())
         };
-        let [height, width] = self.data.size;
+        let [height, width] = self.plan.size;
         let link: Vec<u8> = id
             .iter()
             .map(|&id| if id < FIRST_OBJECT_ID { id } else { NO_LINK })

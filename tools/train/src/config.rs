@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::props::RobotSettings;
+use crate::recorded::{self, FramesSettings, RecordedSettings};
 
 /// A Stage-1 training run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -66,7 +67,14 @@ pub struct DataSettings {
     pub source_times: [u32; 2],
     /// Query times of a clip.
     pub queries: u32,
-    /// Source images of one update: as many clips as fit.
+    /// Other image sizes, each for a share of the updates; the rest have `size`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub more_sizes: Vec<SizeShare>,
+    /// Fewest and most cameras of a procedural clip whose images the network sees, of wrist and external ones; a fourth is a
+    /// right eye. Recorded clips have those that they were ingested with.
+    #[serde(skip_serializing_if = "is_three")]
+    pub source_cameras: [u32; 2],
+    /// Source images of one update: as many clips as fit, of larger images fewer.
     pub images_per_step: u32,
     /// Probability that a clip's conditioning maps are all zero.
     pub conditioning_dropout: f64,
@@ -84,6 +92,29 @@ pub struct DataSettings {
     /// Other robots for wide worlds.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub robots: Vec<RobotSettings>,
+    /// Ingested clips, mixed with procedural ones.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub recorded: Vec<RecordedSettings>,
+    /// Posed RGB-D frames of rooms, mixed with procedural clips.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub frames: Vec<FramesSettings>,
+}
+
+/// An image size and how often it comes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SizeShare {
+    /// Image height and width, pixels; multiples of the patch side.
+    pub size: [u32; 2],
+    /// Share of the updates.
+    pub share: f64,
+}
+
+/// The cameras of DROID, which settings need not say.
+const THREE_CAMERAS: [u32; 2] = [3, 3];
+
+fn is_three(cameras: &[u32; 2]) -> bool {
+    *cameras == THREE_CAMERAS
 }
 
 /// AdamW with a learning rate per group of parameters.
@@ -181,6 +212,8 @@ impl Default for DataSettings {
             clip_frames: 17,
             source_times: [2, 5],
             queries: 8,
+            more_sizes: Vec::new(),
+            source_cameras: THREE_CAMERAS,
             images_per_step: 80,
             conditioning_dropout: 0.1,
             anchoring_dropout: 0.0,
@@ -188,6 +221,8 @@ impl Default for DataSettings {
             world: None,
             props: None,
             robots: Vec::new(),
+            recorded: Vec::new(),
+            frames: Vec::new(),
         }
     }
 }
@@ -340,6 +375,10 @@ impl Stage1Training {
         if optimiser.betas.iter().any(|beta| !(0.0..1.0).contains(beta)) {
             return wrong("optimiser.betas", format!("{:?}", optimiser.betas), "from 0 to below 1");
         }
+        if self.losses.only_sweep() && self.data.source_cameras[0] < 2 {
+            let rule = "at least 2 where nothing but the sweep is trained, which compares cameras";
+            return wrong("data.source_cameras", format!("{:?}", self.data.source_cameras), rule);
+        }
         if optimiser.lora_rank > network.width {
             return wrong(
                 "optimiser.lora_rank",
@@ -376,7 +415,9 @@ impl DataSettings {
     /// The paths that are named.
     pub(crate) fn paths(&mut self) -> impl Iterator<Item = &mut PathBuf> {
         let robots = self.robots.iter_mut().map(|robot| &mut robot.urdf);
-        self.props.iter_mut().chain(robots)
+        let recorded = self.recorded.iter_mut().map(|clips| &mut clips.run);
+        let frames = self.frames.iter_mut().map(|frames| &mut frames.folder);
+        self.props.iter_mut().chain(robots).chain(recorded).chain(frames)
     }
 
     /// Checks every setting for a network of this patch side.
@@ -385,13 +426,20 @@ impl DataSettings {
     /// The first setting that is out of its range.
     pub fn check(&self, patch: u32) -> Result<()> {
         let wrong = |what, value: String, rule| Err(Error::Setting { what, value, rule });
-        let [height, width] = self.size;
-        if height == 0 || width == 0 || height % patch != 0 || width % patch != 0 || height > 2160 || width > 3840 {
-            return wrong(
-                "data.size",
-                format!("{height} x {width}"),
-                "a multiple of the patch side (14)",
-            );
+        let more = self.more_sizes.iter().map(|more| more.size);
+        for [height, width] in more.chain([self.size]) {
+            if height == 0 || width == 0 || height % patch != 0 || width % patch != 0 || height > 2160 || width > 3840 {
+                let rule = "a multiple of the patch side (14)";
+                return wrong("data.size", format!("{height} x {width}"), rule);
+            }
+        }
+        let shares: Vec<f64> = self.more_sizes.iter().map(|more| more.share).collect();
+        if shares.iter().any(|share| !(0.0..=1.0).contains(share)) || shares.iter().sum::<f64>() > 1.0 + 1e-9 {
+            return wrong("data.more_sizes", format!("{shares:?}"), "shares from 0 to 1, together at most 1");
+        }
+        let [fewest, most] = self.source_cameras;
+        if fewest < 1 || fewest > most || most > 4 {
+            return wrong("data.source_cameras", format!("{fewest} to {most}"), "ascending, from 1 to 4");
         }
         if !(2..=1000).contains(&self.clip_frames) {
             return wrong("data.clip_frames", self.clip_frames.to_string(), "from 2 to 1000");
@@ -408,8 +456,8 @@ impl DataSettings {
                 "from 1 to the frames of a clip",
             );
         }
-        if self.images_per_step < 3 * most {
-            let rule = "at least 3 cameras times the most source times";
+        if self.images_per_step < self.source_cameras[1] * most {
+            let rule = "at least the most cameras times the most source times";
             return wrong("data.images_per_step", self.images_per_step.to_string(), rule);
         }
         if let Some(world) = &self.world {
@@ -422,6 +470,7 @@ impl DataSettings {
             let rule = "beside a table `[data.world]`, which says how often it is used";
             return wrong("data.props or data.robots", "given".into(), rule);
         }
+        recorded::check_settings(self)?;
         for (what, share) in [
             ("data.conditioning_dropout", self.conditioning_dropout),
             ("data.anchoring_dropout", self.anchoring_dropout),

@@ -16,6 +16,7 @@ mod perceptual;
 mod picture;
 pub mod plan;
 pub mod props;
+pub mod recorded;
 pub mod records;
 mod report;
 pub mod run;

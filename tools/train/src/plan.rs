@@ -4,12 +4,16 @@ use rogs_random::Pcg64;
 use rogs_schemas::{EpisodeFrame, FrameIndex};
 use rogs_synth::{Episode, Resolution, SynthConfig, generate_episode_with};
 
+use crate::builder::SOURCE_CAMERAS;
 use crate::config::DataSettings;
 use crate::error::{Error, Result};
 use crate::props::props;
 
 /// Frames of a procedural episode.
 const EPISODE_FRAMES: u32 = 33;
+
+/// Wrist and external cameras of an episode; their right eyes follow.
+const FIRST_CAMERAS: [usize; SOURCE_CAMERAS] = [0, 1, 2];
 
 /// Which frames of which episode.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -22,6 +26,10 @@ pub struct ClipPlan {
     pub sources: Vec<FrameIndex>,
     /// Clip frames that are asked for, ascending.
     pub queries: Vec<FrameIndex>,
+    /// Cameras of the episode whose images the network sees; the others are held out.
+    pub cameras: Vec<usize>,
+    /// Image height and width, pixels.
+    pub size: [u32; 2],
 }
 
 impl ClipPlan {
@@ -42,7 +50,26 @@ impl ClipPlan {
                 choose(frames, sources, random)
             },
             queries: choose(frames, data.queries, random),
+            cameras: FIRST_CAMERAS.to_vec(),
+            size: data.size,
         }
+    }
+
+    /// The same with this many source cameras: one or two of the first three, or these and a right eye.
+    #[must_use]
+    pub fn with_cameras(mut self, count: u32, random: &mut Pcg64) -> Self {
+        let mut pick = |from: usize| ((random.next_double() * from as f64) as usize).min(from - 1);
+        let eye = FIRST_CAMERAS.len() + pick(FIRST_CAMERAS.len());
+        match count as usize {
+            more if more > FIRST_CAMERAS.len() => self.cameras.push(eye),
+            count => {
+                while self.cameras.len() > count.max(1) {
+                    let left = self.cameras.len();
+                    self.cameras.remove(pick(left));
+                }
+            }
+        }
+        self
     }
 
     /// The clip that evaluation cuts: the paper's interval, evenly spread sources, queries between them.
@@ -57,6 +84,8 @@ impl ClipPlan {
                 .into_iter()
                 .map(|frame| FrameIndex(frame.0.saturating_sub(2)))
                 .collect(),
+            cameras: FIRST_CAMERAS.to_vec(),
+            size: data.size,
         }
     }
 
@@ -80,8 +109,8 @@ impl ClipPlan {
         let config = SynthConfig {
             frames: EPISODE_FRAMES.max(data.clip_frames),
             resolution: Resolution {
-                wrist: data.size,
-                external: data.size,
+                wrist: self.size,
+                external: self.size,
             },
             calibration_noise: data.calibration_noise,
             anchor_frame: Some(self.first.0 + self.sources[0].0),

@@ -52,7 +52,7 @@ impl ClipBuilder<'_> {
 
     /// The clip, and the pictures of the source cameras at the source frames.
     fn clip(&self) -> (Clip, Vec<Vec<View>>) {
-        let [height, width] = self.data.size;
+        let [height, width] = self.plan.size;
         let (area, frames) = (height as usize * width as usize, self.data.clip_frames as usize);
         let mut wanted: Vec<FrameIndex> = self.plan.sources.iter().chain(&self.plan.queries).copied().collect();
         wanted.sort_unstable();

@@ -9,22 +9,22 @@ use rogs_schemas::units::{LengthUnit, UNITS_PER_METRE, iu_from_m};
 use rogs_schemas::{CameraIndex, FrameIndex};
 use rogs_splat::RasterCamera;
 use rogs_stage1::NetworkCamera;
-use rogs_synth::{FIRST_OBJECT_ID, FIRST_SCENERY_ID, View};
+use rogs_synth::{CAMERAS, FIRST_OBJECT_ID, FIRST_SCENERY_ID, View};
 
-use crate::builder::{ClipBuilder, DEPTH_RANGE_M, RobotSeen, SOURCE_CAMERAS};
+use crate::builder::{ClipBuilder, DEPTH_RANGE_M, RobotSeen};
 use crate::config::DataSettings;
 use crate::error::Result;
 use crate::plan::ClipPlan;
 
 /// A cap that caps nothing, internal units.
-const NO_CAP_IU: f32 = 1e3;
+pub(crate) const NO_CAP_IU: f32 = 1e3;
 
 /// A clip in the reconstruction frame, internal units. `S` source views in token order (camera-major, times ascending),
 /// `A = H W` pixels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sample {
-    /// Seed of the episode.
-    pub seed: u64,
+    /// Where the clip comes from, for messages.
+    pub origin: String,
     /// Image height and width.
     pub size: [usize; 2],
     /// RGB in 0..1. `[S, 3, H, W]`
@@ -51,8 +51,10 @@ pub struct Sample {
     pub scale_cap_iu: Vec<f32>,
     /// 1 on the robot. `[S, A]`
     pub robot: Vec<f32>,
-    /// 1 on the robot and on objects: what tracks can start on. `[S, A]`
+    /// 1 on the robot and on objects: what tracks can start on. In recorded clips 1 where the motion is known. `[S, A]`
     pub trackable: Vec<f32>,
+    /// Whether all else is known to stand still.
+    pub still: bool,
     /// What is asked of the field.
     pub queries: Vec<Query>,
 }
@@ -87,7 +89,7 @@ pub struct Query {
 /// What a camera saw at a query time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Target {
-    /// Whether it is the right eye of a source camera.
+    /// Whether it is held out: the right eye of a source camera, or a camera that is no source of the clip.
     pub right: bool,
     /// The camera.
     pub camera: RasterCamera,
@@ -127,24 +129,24 @@ impl ClipPlan {
 
 impl ClipBuilder<'_> {
     pub(crate) fn sample(&self, with_targets: bool) -> Sample {
-        let [height, width] = self.data.size.map(|side| side as usize);
+        let [height, width] = self.plan.size.map(|side| side as usize);
         let area = height * width;
         let sources: Vec<Vec<Source>> = (self.plan.sources.iter())
             .map(|&frame| {
                 let frame = self.frame(frame);
-                let views = self.episode.render_cameras(frame, &[0, 1, 2]);
-                let with_robot = |(camera, view): (usize, View)| Source {
+                let views = self.episode.render_cameras(frame, &self.plan.cameras);
+                let with_robot = |(view, &camera): (View, &usize)| Source {
                     robot: self.robot_seen(&view, camera, frame),
                     view,
                 };
-                views.into_iter().enumerate().map(with_robot).collect()
+                views.into_iter().zip(&self.plan.cameras).map(with_robot).collect()
             })
             .collect();
-        let order: Vec<(usize, usize)> = (0..SOURCE_CAMERAS)
+        let order: Vec<(usize, usize)> = (0..self.plan.cameras.len())
             .flat_map(|camera| (0..sources.len()).map(move |time| (camera, time)))
             .collect();
         let mut sample = Sample {
-            seed: self.plan.seed,
+            origin: format!("the clip of seed {}", self.plan.seed),
             size: [height, width],
             images: Vec::with_capacity(order.len() * 3 * area),
             cameras: Vec::new(),
@@ -159,13 +161,14 @@ impl ClipBuilder<'_> {
             scale_cap_iu: Vec::with_capacity(order.len() * area),
             robot: Vec::with_capacity(order.len() * area),
             trackable: Vec::with_capacity(order.len() * area),
+            still: true,
             queries: Vec::new(),
         };
         let mark = |on: bool| f32::from(u8::from(on));
         let footprint_px = LiftParams::default().footprint_px;
-        for &(camera, time) in &order {
-            let (Source { view, robot }, clip_frame) = (&sources[time][camera], self.plan.sources[time]);
-            let frame = self.frame(clip_frame);
+        for &(place, time) in &order {
+            let (Source { view, robot }, clip_frame) = (&sources[time][place], self.plan.sources[time]);
+            let (camera, frame) = (self.plan.cameras[place], self.frame(clip_frame));
             for channel in 0..3 {
                 let values = view.rgb[channel..].iter().step_by(3);
                 sample.images.extend(values.map(|&value| f32::from(value) / 255.0));
@@ -206,20 +209,22 @@ impl ClipBuilder<'_> {
     fn query(&self, query: FrameIndex, order: &[(usize, usize)], sources: &[Vec<Source>], with_targets: bool) -> Query {
         let to = self.frame(query);
         let maps: Vec<Motion> = (order.par_iter())
-            .map(|&(camera, time)| {
+            .map(|&(place, time)| {
                 let from = self.frame(self.plan.sources[time]);
-                self.motion(&sources[time][camera], camera, from, to)
+                self.motion(&sources[time][place], self.plan.cameras[place], from, to)
             })
             .collect();
+        let held_out = (0..CAMERAS).filter(|camera| !self.plan.cameras.contains(camera));
+        let cameras: Vec<usize> = self.plan.cameras.iter().copied().chain(held_out).collect();
         let views = if with_targets {
-            self.episode.render_frame(to).views
+            self.episode.render_cameras(to, &cameras)
         } else {
             Vec::new()
         };
-        let targets = views.iter().enumerate().map(|(camera, view)| {
+        let targets = views.iter().zip(cameras).map(|(view, camera)| {
             let (depth_iu, valid) = reference_depth(view);
             Target {
-                right: camera >= SOURCE_CAMERAS,
+                right: !self.plan.cameras.contains(&camera),
                 camera: RasterCamera::new(&self.posed(camera, to), LengthUnit::Internal),
                 rgb: view.rgb.iter().map(|&value| f32::from(value) / 255.0).collect(),
                 depth_iu,

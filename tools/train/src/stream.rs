@@ -7,10 +7,10 @@ use std::thread::JoinHandle;
 
 use rogs_random::Pcg64;
 
-use crate::builder::SOURCE_CAMERAS;
 use crate::config::{DataSettings, Stage1Training};
 use crate::error::Result;
 use crate::plan::ClipPlan;
+use crate::recorded::Recordings;
 use crate::sample::Sample;
 
 /// Batches that wait for training.
@@ -25,26 +25,59 @@ pub struct Batch {
     pub clips: Vec<Sample>,
 }
 
-/// Number of source times and of clips of an update.
-fn shape(data: &DataSettings, seed: u64, step: u64) -> (u32, u32) {
-    let [fewest, most] = data.source_times;
-    let times = fewest + (Pcg64::from_seeds(&[seed, 1, step]).next_double() * f64::from(most - fewest + 1)) as u32;
-    let times = times.min(most);
-    (times, (data.images_per_step / (SOURCE_CAMERAS as u32 * times)).max(1))
+/// What the clips of an update have in common.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Shape {
+    times: u32,
+    cameras: u32,
+    size: [u32; 2],
+    clips: u32,
 }
 
-/// What the clips of an update are cut from; `first` is the number of clips of all updates before it.
+impl Shape {
+    /// That of an update: times, cameras and size from streams of their own.
+    fn of(data: &DataSettings, seed: u64, step: u64) -> Self {
+        let unit = |purpose: u64| Pcg64::from_seeds(&[seed, purpose, step]).next_double();
+        let between = |[fewest, most]: [u32; 2], share: f64| {
+            let drawn = fewest + (share * f64::from(most - fewest + 1)) as u32;
+            drawn.min(most)
+        };
+        let times = between(data.source_times, unit(1));
+        let cameras = between(data.source_cameras, unit(7));
+        let mut size = data.size;
+        let mut left = unit(6);
+        for more in &data.more_sizes {
+            if left < more.share {
+                size = more.size;
+                break;
+            }
+            left -= more.share;
+        }
+        let area = |[height, width]: [u32; 2]| u64::from(height) * u64::from(width);
+        let images = u64::from(data.images_per_step) * area(data.size) / area(size);
+        let clips = images as u32 / (cameras * times);
+        Self {
+            times,
+            cameras,
+            size,
+            clips: clips.max(1),
+        }
+    }
+}
+
+/// What the clips of an update are cut from where they are procedural; `first` is the number of clips of all updates before
+/// it.
 fn plans(data: &DataSettings, seed: u64, step: u64, first: u64) -> Vec<ClipPlan> {
-    let (times, clips) = shape(data, seed, step);
-    (0..u64::from(clips))
+    let shape = Shape::of(data, seed, step);
+    (0..u64::from(shape.clips))
         .map(|clip| {
             let index = first + clip;
-            ClipPlan::draw(
-                data.first_seed + index,
-                times,
-                data,
-                &mut Pcg64::from_seeds(&[seed, 2, index]),
-            )
+            let random = |purpose: u64| Pcg64::from_seeds(&[seed, purpose, index]);
+            let plan = ClipPlan::draw(data.first_seed + index, shape.times, data, &mut random(2));
+            ClipPlan {
+                size: shape.size,
+                ..plan.with_cameras(shape.cameras, &mut random(8))
+            }
         })
         .collect()
 }
@@ -64,6 +97,25 @@ pub fn batches(settings: &Stage1Training, from: u64) -> Stream<Batch> {
         let batch = batch_from(&settings, step, first)?;
         first += batch.clips.len() as u64;
         Ok(batch)
+    let clips_of = |settings: &Stage1Training, step| u64::from(Shape::of(&settings.data, settings.seed, step).clips);
+    let mut first: u64 = (0..from).map(|step| clips_of(&settings, step)).sum();
+    let mut opened = None;
+    Stream::start(from..settings.steps, move |step| {
+        let data = &settings.data;
+        let recordings = match &opened {
+            Some(recordings) => recordings,
+            None => opened.insert(Recordings::open(data)?),
+        };
+        let plans = plans(data, settings.seed, step, first);
+        let with_targets = settings.losses.renders_views();
+        let clip = |(plan, index): (&ClipPlan, u64)| {
+            let shape = (plan.size, plan.sources.len() as u32);
+            let recorded = recordings.clip(data, (settings.seed, index), shape, with_targets)?;
+            recorded.map_or_else(|| sampled(plan, data, with_targets), Ok)
+        };
+        let clips: Result<_> = plans.iter().zip(first..).map(clip).collect();
+        first += plans.len() as u64;
+        Ok(Batch { step, clips: clips? })
     })
 }
 

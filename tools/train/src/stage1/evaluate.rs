@@ -5,15 +5,17 @@ use std::collections::BTreeMap;
 use rogs_schemas::units::m_from_iu;
 use rogs_splat::RasterConfig;
 use rogs_stage1::Stage1;
+use rogs_synth::World;
 use rogs_tensors::parameters::to_host;
 use rogs_tensors::render::render_views;
 
 use super::forward::{Heads, attributes, decode, gaussians, source_frames};
 use super::matching::relative_errors;
-use crate::config::Stage1Training;
+use crate::config::{DataSettings, Stage1Training};
 use crate::error::Result;
 use crate::picture::{Canvas, Picture, peak_signal};
 use crate::plan::ClipPlan;
+use crate::recorded::Recordings;
 use crate::run::Evaluation;
 use crate::sample::{Query, Sample};
 
@@ -47,25 +49,73 @@ pub(super) fn evaluate(network: &Stage1, settings: &Stage1Training) -> Result<Ev
     // Without gradients it is faster, and runs on the kernels that lifting uses.
     let network = Stage1::new(network.config.clone(), network.parameters.without_gradients())?;
     let mut evaluation = Evaluation::default();
-    for index in 0..settings.evaluation_clips {
-        let plan = ClipPlan::evaluation(settings.data.held_out_seed + index, &settings.data);
-        let sample = plan.sample(&settings.data, true)?;
+    let mut counts: BTreeMap<String, f64> = BTreeMap::new();
+    held_out(settings, &mut |kind, sample| {
         let Scored {
             scores,
             views,
             head_depth,
-        } = score(&network, &sample)?;
+        } = score(&network, sample)?;
         for (name, value) in scores {
-            *evaluation.scores.entry(name.to_owned()).or_insert(0.0) += value / settings.evaluation_clips as f64;
+            let name = format!("{kind}{name}");
+            *counts.entry(name.clone()).or_insert(0.0) += 1.0;
+            *evaluation.scores.entry(name).or_insert(0.0) += value;
         }
         if evaluation.picture.is_none() {
-            evaluation.picture = sample
-                .queries
-                .last()
-                .map(|query| grid(&sample, query, &views, &head_depth));
+            let last = sample.queries.last();
+            evaluation.picture = last.map(|query| grid(sample, query, &views, &head_depth));
         }
+        Ok(())
+    })?;
+    for (name, sum) in &mut evaluation.scores {
+        *sum /= counts.get(name).copied().unwrap_or(1.0);
     }
     Ok(evaluation)
+}
+
+/// Goes through the clips that are scored, each with what stands before the names of its scores: plain robot cells of the
+/// settings' size; `wide_`, where there are wide worlds; the size, as `154x280_`, where there are more; `recorded_` and
+/// `frames_`. The latter are fewer.
+fn held_out(settings: &Stage1Training, visit: &mut dyn FnMut(&str, &Sample) -> Result<()>) -> Result<()> {
+    let data = &settings.data;
+    let plain = DataSettings {
+        world: None,
+        props: None,
+        robots: Vec::new(),
+        ..data.clone()
+    };
+    let all = settings.evaluation_clips;
+    let some = all.div_ceil(2);
+    let mut procedural = |kind: &str, data: &DataSettings, count: u64| -> Result<()> {
+        for index in 0..count {
+            let plan = ClipPlan::evaluation(data.held_out_seed + index, data);
+            visit(kind, &plan.or_another(|plan| plan.sample(data, true))?)?;
+        }
+        Ok(())
+    };
+    procedural("", &plain, all)?;
+    if let Some(world) = &data.world {
+        let wide = DataSettings {
+            world: Some(World {
+                share: 1.0,
+                ..world.clone()
+            }),
+            ..data.clone()
+        };
+        procedural("wide_", &wide, some)?;
+    }
+    for more in &data.more_sizes {
+        let [height, width] = more.size;
+        let sized = DataSettings {
+            size: more.size,
+            ..plain.clone()
+        };
+        procedural(&format!("{height}x{width}_"), &sized, some.div_ceil(2))?;
+    }
+    for (kind, sample) in Recordings::open(data)?.held_out(data, some)? {
+        visit(&format!("{kind}_"), &sample)?;
+    }
+    Ok(())
 }
 
 /// Scores of one clip.

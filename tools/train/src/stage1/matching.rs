@@ -143,7 +143,7 @@ mod tests {
         };
         let pixels = 4 * SIZE[0] * SIZE[1];
         Sample {
-            seed: 0,
+            origin: String::new(),
             size: SIZE,
             images: vec![0.5; 3 * pixels],
             cameras: vec![
@@ -165,6 +165,7 @@ mod tests {
             scale_cap_iu: vec![0.0; pixels],
             robot: vec![0.0; pixels],
             trackable: vec![0.0; pixels],
+            still: true,
             queries: Vec::new(),
         }
     }

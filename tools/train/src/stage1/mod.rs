@@ -15,8 +15,7 @@ use burn::tensor::Device;
 use rayon::prelude::*;
 use rogs_lpips::LpipsTensors;
 use rogs_random::Pcg64;
-use rogs_stage1::Stage1;
-use rogs_stage1::stage1_metadata;
+use rogs_stage1::{Stage1, Stage1Config, stage1_metadata};
 use rogs_tensors::device;
 use rogs_tensors::optimiser::{self, Gradients, Moments, Rule, schedule};
 use rogs_tensors::parameters::Parameters;
@@ -26,6 +25,8 @@ use crate::checkpoint::State;
 use crate::config::{Cadence, Stage1Training, check_precision};
 use crate::error::{Error, Result};
 use crate::perceptual::perceptual;
+use crate::props::props;
+use crate::recorded::Recordings;
 use crate::run::{Evaluation, Trainer, UpdateReport};
 use crate::sample::Sample;
 use crate::stream::{Batch, Stream, batches};
@@ -58,6 +59,9 @@ impl Stage1Trainer {
     pub fn new(settings: Stage1Training, device: &Device) -> Result<Self> {
         settings.check()?;
         check_precision(settings.precision, device)?;
+        props(&settings.data)?;
+        let patch = Stage1Config::by_name(&settings.configuration)?.patch;
+        Recordings::open(&settings.data)?.check(patch)?;
         let device = device.clone().autodiff();
         let mut start = start::start(&settings, &device)?;
         start.network.parameters.set_products(settings.precision.into());
@@ -108,7 +112,7 @@ impl Stage1Trainer {
             let bad = bad.map_or("total", |(key, _)| key);
             return Err(Error::Diverged {
                 step: self.step,
-                what: format!("the loss `{bad}` of the clip of seed {}", clip.seed),
+                what: format!("the loss `{bad}` of {}", clip.origin),
             });
         }
         Ok(ClipResult {
@@ -173,11 +177,23 @@ impl Trainer for Stage1Trainer {
             None => format!("from scratch, seed {}", settings.seed),
         };
         let ([height, width], step) = (settings.data.size, self.step);
+        let recorded = !settings.data.recorded.is_empty() || !settings.data.frames.is_empty();
+        let clips = if recorded {
+            "procedural and recorded clips"
+        } else {
+            "procedural clips only"
+        };
+        let more: String = settings
+            .data
+            .more_sizes
+            .iter()
+            .map(|more| format!(" and {} x {}", more.size[0], more.size[1]))
+            .collect();
         let provenance = format!(
-            "trained by rogs-train on procedural clips only, {step} updates at {height} x {width}, {start}{time}"
+            "trained by rogs-train on {clips}, {step} updates at {height} x {width}{more}, {start}{time}"
         );
         let mut metadata = stage1_metadata(&self.network.config, step > 0, &provenance);
-        if self.procedural_only {
+        if self.procedural_only && !recorded {
             metadata.insert(TRAINING_DOMAIN.to_owned(), PROCEDURAL.to_owned());
         }
         metadata

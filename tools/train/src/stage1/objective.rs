@@ -38,8 +38,10 @@ fn track_pixels(sample: &Sample, random: &mut Pcg64) -> Vec<i32> {
         from
     };
     let mut chosen = pick(pixels(true), (TRACKS as f64 * MOVING_SHARE) as usize);
-    let rest = TRACKS - chosen.len();
-    chosen.extend(pick(pixels(false), rest.min(TRACKS / 4)));
+    if sample.still {
+        let rest = TRACKS - chosen.len();
+        chosen.extend(pick(pixels(false), rest.min(TRACKS / 4)));
+    }
     chosen
 }
 
@@ -133,8 +135,7 @@ fn of_outputs(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &mut
 /// When it found nothing to compare, or the device fails.
 pub fn of_sweep(sample: &Sample, found: Option<&SweepTerms>, weights: &LossWeights) -> Result<Objective> {
     let found = found.ok_or_else(|| {
-        let seed = sample.seed;
-        rogs_tensors::Error::BadInput(format!("no two cameras of the clip of seed {seed} see the same moment"))
+        rogs_tensors::Error::BadInput(format!("no two cameras of {} see the same moment", sample.origin))
     })?;
     let mut sum = Sum::new(&found.depths.device());
     matching::add_terms(&mut sum, sample, found, weights)?;

@@ -31,6 +31,7 @@ use crate::error::{Error, Result};
 use crate::perceptual::perceptual;
 use crate::picture::peak_signal;
 use crate::plan::ClipPlan;
+use crate::props::props;
 use crate::run::{Evaluation, Trainer, UpdateReport};
 use crate::stream::Stream;
 
@@ -73,6 +74,7 @@ impl Stage2Trainer {
     pub fn new(settings: Stage2Training, device: &Device) -> Result<Self> {
         settings.check()?;
         check_precision(settings.precision, device)?;
+        props(&settings.data)?;
         let config = RefinerConfig::preset(&settings.preset)?;
         let device = device.clone().autodiff();
         let mut parameters = match &settings.start {

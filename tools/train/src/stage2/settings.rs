@@ -132,6 +132,15 @@ impl Stage2Training {
                 "a multiple of the token block",
             );
         }
+        let data = &self.data;
+        if data.source_cameras != DataSettings::default().source_cameras || !data.more_sizes.is_empty() {
+            let rule = "absent: Stage 2 is trained on clips of three cameras and one size";
+            return wrong("data.source_cameras or data.more_sizes", "given".into(), rule);
+        }
+        if !data.recorded.is_empty() || !data.frames.is_empty() {
+            let rule = "absent: Stage 2 is trained on procedural clips";
+            return wrong("data.recorded or data.frames", "given".into(), rule);
+        }
         let losses = &self.losses;
         let weights = [
             losses.rendering,
