@@ -6,6 +6,7 @@ use std::process::ExitCode;
 
 use burn::tensor::Device;
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use rogs_synth::World;
 use rogs_tensors::device;
 use rogs_train::checkpoint::{RunFolder, export};
 use rogs_train::run::{Trainer, run};
@@ -60,7 +61,13 @@ enum Command {
         provenance: Option<String>,
     },
     /// Prints all settings with their defaults as TOML.
-    Settings,
+    Settings {
+        /// With the table `[data.world]`, which makes procedural clips wide.
+        #[arg(long)]
+        world: bool,
+    },
+    /// Prints the JSON schema of the table `[data.world]`.
+    Schema,
 }
 
 /// What every kind of training is told.
@@ -173,12 +180,18 @@ fn execute(command: Command) -> Result<()> {
             println!("{}", out.display());
             Ok(())
         }
-        Command::Settings => {
-            let text = toml::to_string(&Stage1Training::default()).map_err(|error| Error::Configuration {
+        Command::Settings { world } => {
+            let mut settings = Stage1Training::default();
+            settings.data.world = world.then(World::default);
+            let text = toml::to_string(&settings).map_err(|error| Error::Configuration {
                 path: "settings".into(),
                 reason: error.to_string(),
             })?;
             print!("{text}");
+            Ok(())
+        }
+        Command::Schema => {
+            println!("{:#}", schemars::schema_for!(World).to_value());
             Ok(())
         }
     }

@@ -54,8 +54,10 @@ impl Shape {
             left -= more.share;
         }
         let area = |[height, width]: [u32; 2]| u64::from(height) * u64::from(width);
-        let images = u64::from(data.images_per_step) * area(data.size) / area(size);
-        let clips = images as u32 / (cameras * times);
+        // What an update may hold is counted in pixels: of larger images a clip has fewer times.
+        let images = (u64::from(data.images_per_step) * area(data.size) / area(size)) as u32;
+        let times = times.min((images / cameras).max(1));
+        let clips = images / (cameras * times);
         Self {
             times,
             cameras,
