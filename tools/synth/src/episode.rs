@@ -81,7 +81,10 @@ fn own_robot() -> &'static (Robot, Vec<Arc<PreparedMesh>>) {
     static OWN: OnceLock<(Robot, Vec<Arc<PreparedMesh>>)> = OnceLock::new();
     OWN.get_or_init(|| {
         let robot = Robot::new();
-        let prepared = robot.links.iter().map(|link| Arc::new(PreparedMesh::new((*link.mesh).clone())));
+        let prepared = robot
+            .links
+            .iter()
+            .map(|link| Arc::new(PreparedMesh::new((*link.mesh).clone())));
         let prepared = prepared.collect();
         (robot, prepared)
     })
@@ -185,7 +188,13 @@ fn carried(draw: &mut Draw, moved: &GuestMotion, objects: &[Object]) -> Motion {
     let turn = draw.range(-std::f64::consts::PI, std::f64::consts::PI);
     let first = moved.flange[0].inverse();
     let in_hand = first * Pose::<Base, BodyFrame>::new(rot_z(turn), moved.tool[0]);
-    let target = |frame: usize| if held { moved.flange[frame] * in_hand } else { objects[0].start };
+    let target = |frame: usize| {
+        if held {
+            moved.flange[frame] * in_hand
+        } else {
+            objects[0].start
+        }
+    };
     Motion {
         action: if held { Action::Carry } else { Action::Reach },
         states: states.collect(),

@@ -285,7 +285,9 @@ impl TriMesh {
 
     /// The same mesh, larger by a factor.
     pub(crate) fn scaled(mut self, factor: f64) -> Self {
-        self.positions.iter_mut().for_each(|position| *position *= factor as f32);
+        self.positions
+            .iter_mut()
+            .for_each(|position| *position *= factor as f32);
         self
     }
 

@@ -9,9 +9,7 @@ use crate::cameras::{CAMERAS, EpisodeCamera, draw_cameras};
 use crate::config::SynthConfig;
 use crate::math::Draw;
 use crate::render::{Material, PreparedMesh, Sensor};
-use crate::scene::{
-    Body, Builder, Lights, Object, draw_lights, draw_material, draw_robot_materials, draw_room,
-};
+use crate::scene::{Body, Builder, Lights, Object, draw_lights, draw_material, draw_robot_materials, draw_room};
 use crate::world::{
     GuestArm, GuestMotion, Keep, Outline, Props, Surfaces, WideRoom, World, draw_clutter, draw_guest_motion,
     draw_wide_cameras, draw_wide_lights, draw_wide_room, draw_wide_sensors, furnish,
@@ -51,7 +49,10 @@ impl Setting {
     /// Draws the setting of a seed.
     pub(crate) fn draw(config: &SynthConfig, seed: u64, props: &Props) -> Self {
         let mut draw = Draw::new(seed, stream::WORLD);
-        let wide = config.world.as_ref().and_then(|world| Some((world, world.outline(&mut draw)?)));
+        let wide = config
+            .world
+            .as_ref()
+            .and_then(|world| Some((world, world.outline(&mut draw)?)));
         match wide {
             Some((world, outline)) => Self::wide(config, seed, (world, outline), props, &mut draw),
             None => Self::plain(config, seed),
@@ -118,7 +119,10 @@ impl Setting {
         let Some(room) = &self.wide else { return };
         let tilt = room.tilt();
         for (index, object) in objects.iter_mut().enumerate() {
-            let foot = object.start.translation.with_z(self.table_height(object.start.translation));
+            let foot = object
+                .start
+                .translation
+                .with_z(self.table_height(object.start.translation));
             let up = DVec3::Z * object.half.z;
             object.start = if index == 0 {
                 Pose::new(object.start.rotation, foot + up)
@@ -173,7 +177,14 @@ impl Setting {
     }
 
     /// Puts clutter on the table of a wide world, where neither the hand nor objects come.
-    pub(crate) fn clutter(&mut self, config: &SynthConfig, seed: u64, props: &Props, tools: &[DVec3], objects: &[Object]) {
+    pub(crate) fn clutter(
+        &mut self,
+        config: &SynthConfig,
+        seed: u64,
+        props: &Props,
+        tools: &[DVec3],
+        objects: &[Object],
+    ) {
         let (Some(room), Some(world)) = (&self.wide, &config.world) else {
             return;
         };

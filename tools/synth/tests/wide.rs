@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
 
 use rogs_synth::{
-    Episode, FIRST_OBJECT_ID, FIRST_SCENERY_ID, Layouts, Photo, Props, Resolution, SynthConfig, World, generate_episode,
-    generate_episode_with,
+    Episode, FIRST_OBJECT_ID, FIRST_SCENERY_ID, Layouts, Photo, Props, Resolution, SynthConfig, World,
+    generate_episode, generate_episode_with,
 };
 
 const NO_LAYOUT: Layouts = Layouts {
@@ -108,7 +108,9 @@ fn depths_of_two_cameras_agree() {
         for (pixel, &depth) in views[0].depth_m.iter().enumerate() {
             let ray = lens[0].ray((pixel % 70) as u32, (pixel / 70) as u32);
             let point = to.point(from.point(ray * f64::from(depth)));
-            let Some((place, there)) = lens[1].project(point) else { continue };
+            let Some((place, there)) = lens[1].project(point) else {
+                continue;
+            };
             if !(0.0..70.0).contains(&place.x) || !(0.0..42.0).contains(&place.y) {
                 continue;
             }
@@ -137,7 +139,9 @@ fn photographs_are_seen_where_there_are_any() {
         let episode = generate_episode_with(&config(Some(world.clone())), 3, props).unwrap();
         let views = episode.render_cameras(0, &[1, 2]);
         let pixels = views.iter().flat_map(|view| view.rgb.chunks_exact(3));
-        pixels.filter(|rgb| i32::from(rgb[0]) > 2 * i32::from(rgb[1]) + 20).count()
+        pixels
+            .filter(|rgb| i32::from(rgb[0]) > 2 * i32::from(rgb[1]) + 20)
+            .count()
     };
     let (with, without) = (red(&props), red(&Props::default()));
     assert!(with > 42 * 70 && with > 3 * without, "{with} {without}");

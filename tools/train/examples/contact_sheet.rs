@@ -32,7 +32,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     while clips < wanted {
         let batch = stream.next_item().ok_or("the run has fewer clips")??;
         for clip in batch.clips {
-            println!("{clips:3} {}x{} {} views, {}", clip.size[1], clip.size[0], clip.views.len(), clip.origin);
+            println!(
+                "{clips:3} {}x{} {} views, {}",
+                clip.size[1],
+                clip.size[0],
+                clip.views.len(),
+                clip.origin
+            );
             if clips < wanted {
                 row(&mut sheet, clips as u32 * height, &clip);
             }
@@ -57,11 +63,19 @@ fn row(sheet: &mut RgbImage, top: u32, clip: &Sample) {
                 let at = view * area + pixel;
                 let shade = libm::sqrtf(clip.depth_iu[at] / FAR_IU).min(1.0);
                 // The mesh where it anchors.
-                if clip.mesh_depth_iu[at] > 0.0 { [1.0 - shade, 0.3, 0.2] } else { [shade; 3] }
+                if clip.mesh_depth_iu[at] > 0.0 {
+                    [1.0 - shade, 0.3, 0.2]
+                } else {
+                    [shade; 3]
+                }
             });
         }
     }
-    let held_out = clip.queries.iter().flat_map(|query| &query.targets).find(|target| target.right);
+    let held_out = clip
+        .queries
+        .iter()
+        .flat_map(|query| &query.targets)
+        .find(|target| target.right);
     if let Some(target) = held_out {
         let size = clip.size;
         paint(sheet, [top, 2 * CAMERAS as u32 - 1], size, |pixel| {

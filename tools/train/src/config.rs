@@ -435,11 +435,19 @@ impl DataSettings {
         }
         let shares: Vec<f64> = self.more_sizes.iter().map(|more| more.share).collect();
         if shares.iter().any(|share| !(0.0..=1.0).contains(share)) || shares.iter().sum::<f64>() > 1.0 + 1e-9 {
-            return wrong("data.more_sizes", format!("{shares:?}"), "shares from 0 to 1, together at most 1");
+            return wrong(
+                "data.more_sizes",
+                format!("{shares:?}"),
+                "shares from 0 to 1, together at most 1",
+            );
         }
         let [fewest, most] = self.source_cameras;
         if fewest < 1 || fewest > most || most > 4 {
-            return wrong("data.source_cameras", format!("{fewest} to {most}"), "ascending, from 1 to 4");
+            return wrong(
+                "data.source_cameras",
+                format!("{fewest} to {most}"),
+                "ascending, from 1 to 4",
+            );
         }
         if !(2..=1000).contains(&self.clip_frames) {
             return wrong("data.clip_frames", self.clip_frames.to_string(), "from 2 to 1000");

@@ -273,7 +273,12 @@ impl ClipBuilder<'_> {
             let supported = robot.support[pixel] != 0;
             let anchored = supported && robot.displaced;
             let (id, depth_m, lens, recon_from_camera) = if anchored {
-                (robot.link[pixel], robot.depth_m[pixel], &eye.recorded_lens, &recon_from_recorded)
+                (
+                    robot.link[pixel],
+                    robot.depth_m[pixel],
+                    &eye.recorded_lens,
+                    &recon_from_recorded,
+                )
             } else {
                 (view.id[pixel], view.depth_m[pixel], &eye.lens, &recon_from_camera)
             };

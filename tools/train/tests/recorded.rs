@@ -86,9 +86,15 @@ fn a_clip_from_records_is_the_clip_that_was_recorded() {
     let settings = settings(run(folder.path(), |_| ()));
     Recordings::open(&settings).unwrap().check(14).unwrap();
     let (read, made) = (held_out(&settings), plan(4).sample(&data(), true).unwrap());
-    assert_eq!((&read.images, &read.views, read.size), (&made.images, &made.views, made.size));
+    assert_eq!(
+        (&read.images, &read.views, read.size),
+        (&made.images, &made.views, made.size)
+    );
     assert_eq!((&read.depth_iu, &read.valid), (&made.depth_iu, &made.valid));
-    assert_eq!((&read.mesh_depth_iu, &read.support), (&made.mesh_depth_iu, &made.support));
+    assert_eq!(
+        (&read.mesh_depth_iu, &read.support),
+        (&made.mesh_depth_iu, &made.support)
+    );
     assert_eq!(read.scale_cap_iu, made.scale_cap_iu);
     assert!(!read.still && made.still);
     for (a, b) in read.cameras.iter().zip(&made.cameras) {
@@ -118,7 +124,10 @@ fn a_clip_from_records_is_the_clip_that_was_recorded() {
         }
         assert_eq!(a.targets.len(), 6);
         for (a, b) in a.targets.iter().zip(&b.targets) {
-            assert_eq!((a.right, &a.rgb, &a.depth_iu, &a.valid), (b.right, &b.rgb, &b.depth_iu, &b.valid));
+            assert_eq!(
+                (a.right, &a.rgb, &a.depth_iu, &a.valid),
+                (b.right, &b.rgb, &b.depth_iu, &b.valid)
+            );
         }
     }
     assert!(tracked > 100 && moved > 100, "{tracked} {moved}");
@@ -132,7 +141,10 @@ fn what_cannot_be_trained_on_is_named_before_the_first_update() {
             data: settings(run(folder.path(), change)),
             ..Stage1Training::default()
         };
-        let error = Stage1Trainer::new(settings, &Device::flex()).map(|_| ()).unwrap_err().to_string();
+        let error = Stage1Trainer::new(settings, &Device::flex())
+            .map(|_| ())
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("clip.r4c") && error.contains("clip `synth-"), "{error}");
         error
     };
@@ -143,7 +155,10 @@ fn what_cannot_be_trained_on_is_named_before_the_first_update() {
             }
         }
     });
-    assert!(error.contains("camera `wrist`") && error.contains("nowhere a number"), "{error}");
+    assert!(
+        error.contains("camera `wrist`") && error.contains("nowhere a number"),
+        "{error}"
+    );
     let error = refused(|records| {
         if let Some(tracks) = &mut records.clip.tracks {
             tracks.position_m.fill(f32::NAN);
@@ -158,7 +173,12 @@ fn what_cannot_be_trained_on_is_named_before_the_first_update() {
     let error = refused(|records| records.robot.clip_id = rogs_schemas::ClipId::made_of("another"));
     assert!(error.contains("another clip"), "{error}");
     let missing = settings(PathBuf::from("/nowhere"));
-    assert!(Recordings::open(&missing).unwrap_err().to_string().starts_with("/nowhere/clips"));
+    assert!(
+        Recordings::open(&missing)
+            .unwrap_err()
+            .to_string()
+            .starts_with("/nowhere/clips")
+    );
 }
 
 /// Three frames of a room become a clip whose depth of one view is that of another.
@@ -179,13 +199,22 @@ fn frames_of_a_room_are_a_clip_that_fits_together() {
     let rooms = Recordings::open(&settings).unwrap();
     let (mut off, mut names) = (Vec::new(), Vec::new());
     for index in 0..6 {
-        let sample = rooms.clip(&settings, (7, index), ([84, 154], 3), true).unwrap().unwrap();
+        let sample = rooms
+            .clip(&settings, (7, index), ([84, 154], 3), true)
+            .unwrap()
+            .unwrap();
         assert_eq!((sample.views.len(), sample.queries.len()), (3, 1));
-        assert_eq!(sample.queries[0].targets.iter().filter(|target| target.right).count(), 2);
+        assert_eq!(
+            sample.queries[0].targets.iter().filter(|target| target.right).count(),
+            2
+        );
         names.push(sample.origin.clone());
         let area = 84 * 154;
         for pixel in (0..area).step_by(5).filter(|&pixel| sample.valid[pixel] > 0.0) {
-            let (u, v) = (((pixel % 154) as f64 + 0.5) / 154.0, ((pixel / 154) as f64 + 0.5) / 84.0);
+            let (u, v) = (
+                ((pixel % 154) as f64 + 0.5) / 154.0,
+                ((pixel / 154) as f64 + 0.5) / 84.0,
+            );
             let point = sample.cameras[0].point(u, v, f64::from(sample.depth_iu[pixel]));
             let ([u, v], depth) = sample.cameras[1].project(point);
             if depth <= 0.0 || !(0.0..1.0).contains(&u) || !(0.0..1.0).contains(&v) {
@@ -203,7 +232,14 @@ fn frames_of_a_room_are_a_clip_that_fits_together() {
     assert!(off[off.len() / 2] < 0.02, "median {}", off[off.len() / 2]);
     // The held-out part comes later than all of them.
     let held_out = rooms.held_out(&settings, 3).unwrap();
-    let number = |origin: &str| origin.chars().filter(char::is_ascii_digit).collect::<String>().parse::<u32>().unwrap();
+    let number = |origin: &str| {
+        origin
+            .chars()
+            .filter(char::is_ascii_digit)
+            .collect::<String>()
+            .parse::<u32>()
+            .unwrap()
+    };
     let first = held_out.iter().map(|(_, sample)| number(&sample.origin)).min().unwrap();
     assert!(held_out.len() == 3 && names.iter().all(|name| number(name) < first));
 }
@@ -228,8 +264,16 @@ fn an_update_takes_recorded_clips_among_procedural_ones() {
     };
     let mut trainer = Stage1Trainer::new(settings, &Device::flex()).unwrap();
     let batch = trainer.stream().unwrap().next_item().unwrap().unwrap();
-    let recorded = batch.clips.iter().filter(|clip| clip.origin.starts_with("clip `")).count();
-    assert!(recorded > 0 && recorded < batch.clips.len(), "{recorded} of {}", batch.clips.len());
+    let recorded = batch
+        .clips
+        .iter()
+        .filter(|clip| clip.origin.starts_with("clip `"))
+        .count();
+    assert!(
+        recorded > 0 && recorded < batch.clips.len(),
+        "{recorded} of {}",
+        batch.clips.len()
+    );
     let report = trainer.update(&batch).unwrap();
     assert!(report.loss.is_finite() && report.terms["stereo"] > 0.0);
 }

@@ -80,7 +80,10 @@ fn clips_of_one_to_four_cameras_and_of_two_sizes_are_lifted() {
             ..ClipPlan::draw(60_000_100, 1, &data, &mut random).with_cameras(count, &mut random)
         };
         let sample = plan.sample(&data, true).unwrap();
-        assert_eq!((sample.views.len(), sample.size), (count as usize, size.map(|side| side as usize)));
+        assert_eq!(
+            (sample.views.len(), sample.size),
+            (count as usize, size.map(|side| side as usize))
+        );
         let targets = &sample.queries[0].targets;
         let held_out = targets.iter().position(|target| target.right).unwrap();
         assert_eq!((held_out, targets.len()), (count as usize, 6));
@@ -115,9 +118,17 @@ fn a_share_of_updates_has_the_other_size_and_no_more_pixels() {
         let size = batch.clips[0].size;
         assert!(batch.clips.iter().all(|clip| clip.size == size));
         large += usize::from(size == [42, 70]);
-        let pixels: usize = batch.clips.iter().map(|clip| clip.views.len() * size[0] * size[1]).sum();
+        let pixels: usize = batch
+            .clips
+            .iter()
+            .map(|clip| clip.views.len() * size[0] * size[1])
+            .sum();
         assert!(pixels <= 12 * 28 * 42, "{pixels}");
-        let times = batch.clips[0].views.iter().filter(|view| view.0 == batch.clips[0].views[0].0).count();
+        let times = batch.clips[0]
+            .views
+            .iter()
+            .filter(|view| view.0 == batch.clips[0].views[0].0)
+            .count();
         cameras.push(batch.clips[0].views.len() / times);
     }
     assert!((2..=10).contains(&large), "{large}");
@@ -129,7 +140,10 @@ fn nonsense_is_refused_by_name() {
     let refused = |change: fn(&mut DataSettings)| {
         let mut settings = Stage1Training::default();
         change(&mut settings.data);
-        Stage1Trainer::new(settings, &Device::flex()).map(|_| ()).unwrap_err().to_string()
+        Stage1Trainer::new(settings, &Device::flex())
+            .map(|_| ())
+            .unwrap_err()
+            .to_string()
     };
     let error = refused(|data| {
         data.world = Some(World {

@@ -132,7 +132,9 @@ mod tests {
 
     /// Left half black, right half white.
     fn halves() -> Photo {
-        let rgb: Vec<u8> = (0..32 * 32).flat_map(|k| [if k % 32 < 16 { 0 } else { 255 }; 3]).collect();
+        let rgb: Vec<u8> = (0..32 * 32)
+            .flat_map(|k| [if k % 32 < 16 { 0 } else { 255 }; 3])
+            .collect();
         Photo::new(32, 32, &rgb).unwrap()
     }
 

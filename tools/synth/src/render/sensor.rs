@@ -84,35 +84,43 @@ pub(crate) fn blurred(rgb: &[u8], width: usize, height: usize, sigma_px: [f64; 2
     if sigma_px.iter().all(|sigma| *sigma < LEAST_BLUR_PX) {
         return rgb.to_vec();
     }
-    let pass = |values: Vec<f64>, sigma: f64, length: usize, stride: usize, lines: &dyn Fn(usize) -> usize, count: usize| {
-        if sigma < LEAST_BLUR_PX {
-            return values;
-        }
-        let reach = (3.0 * sigma).ceil() as isize;
-        let weights: Vec<f64> = (-reach..=reach)
-            .map(|at| (-0.5 * (at as f64 / sigma).powi(2)).exp())
-            .collect();
-        let total: f64 = weights.iter().sum();
-        let mut out = vec![0.0; values.len()];
-        for line in 0..count {
-            let start = lines(line);
-            for place in 0..length {
-                let sum: f64 = weights
-                    .iter()
-                    .zip(-reach..)
-                    .map(|(weight, shift)| {
-                        let at = (place as isize + shift).clamp(0, length as isize - 1) as usize;
-                        weight * values[start + at * stride]
-                    })
-                    .sum();
-                out[start + place * stride] = sum / total;
+    let pass =
+        |values: Vec<f64>, sigma: f64, length: usize, stride: usize, lines: &dyn Fn(usize) -> usize, count: usize| {
+            if sigma < LEAST_BLUR_PX {
+                return values;
             }
-        }
-        out
-    };
+            let reach = (3.0 * sigma).ceil() as isize;
+            let weights: Vec<f64> = (-reach..=reach)
+                .map(|at| (-0.5 * (at as f64 / sigma).powi(2)).exp())
+                .collect();
+            let total: f64 = weights.iter().sum();
+            let mut out = vec![0.0; values.len()];
+            for line in 0..count {
+                let start = lines(line);
+                for place in 0..length {
+                    let sum: f64 = weights
+                        .iter()
+                        .zip(-reach..)
+                        .map(|(weight, shift)| {
+                            let at = (place as isize + shift).clamp(0, length as isize - 1) as usize;
+                            weight * values[start + at * stride]
+                        })
+                        .sum();
+                    out[start + place * stride] = sum / total;
+                }
+            }
+            out
+        };
     let values: Vec<f64> = rgb.iter().map(|&value| f64::from(value)).collect();
     let [along, down] = sigma_px;
-    let rows = pass(values, along, width, 3, &|line| line / 3 * width * 3 + line % 3, height * 3);
+    let rows = pass(
+        values,
+        along,
+        width,
+        3,
+        &|line| line / 3 * width * 3 + line % 3,
+        height * 3,
+    );
     let both = pass(rows, down, height, width * 3, &|line| line, width * 3);
     both.iter().map(|value| value.round().clamp(0.0, 255.0) as u8).collect()
 }
@@ -124,7 +132,11 @@ const BLOCK: usize = 8;
 /// with the frequency (ITU-T T.81, tables K.1 and K.2 with the scaling of the Independent JPEG Group), colour at half the
 /// resolution.
 fn compress(rgb: &mut [u8], [height, width]: [usize; 2], quality: f32) {
-    let scale = if quality < 50.0 { 50.0 / quality } else { 2.0 - quality / 50.0 };
+    let scale = if quality < 50.0 {
+        50.0 / quality
+    } else {
+        2.0 - quality / 50.0
+    };
     let steps = |table: &[u8; 64]| table.map(|step| (f32::from(step) * scale).max(1.0));
     let [bright, colour] = [steps(&BRIGHTNESS_STEPS), steps(&COLOUR_STEPS)];
     let mut planes = [const { Vec::new() }; 3];
@@ -152,7 +164,11 @@ fn compress(rgb: &mut [u8], [height, width]: [usize; 2], quality: f32) {
     for (pixel, values) in rgb.chunks_exact_mut(3).enumerate() {
         let [y, blue, red] = [0, 1, 2].map(|k| planes[k][pixel]);
         let y = y + 128.0;
-        let mixed = [y + 1.402 * red, y - 0.344_136 * blue - 0.714_136 * red, y + 1.772 * blue];
+        let mixed = [
+            y + 1.402 * red,
+            y - 0.344_136 * blue - 0.714_136 * red,
+            y + 1.772 * blue,
+        ];
         for (value, mixed) in values.iter_mut().zip(mixed) {
             *value = (mixed + 0.5).clamp(0.0, 255.0) as u8;
         }
@@ -217,16 +233,16 @@ fn cosines() -> [f32; 64] {
 
 /// ITU-T T.81, table K.1.
 const BRIGHTNESS_STEPS: [u8; 64] = [
-    16, 11, 10, 16, 24, 40, 51, 61, 12, 12, 14, 19, 26, 58, 60, 55, 14, 13, 16, 24, 40, 57, 69, 56, 14, 17, 22, 29, 51, 87,
-    80, 62, 18, 22, 37, 56, 68, 109, 103, 77, 24, 35, 55, 64, 81, 104, 113, 92, 49, 64, 78, 87, 103, 121, 120, 101, 72, 92,
-    95, 98, 112, 100, 103, 99,
+    16, 11, 10, 16, 24, 40, 51, 61, 12, 12, 14, 19, 26, 58, 60, 55, 14, 13, 16, 24, 40, 57, 69, 56, 14, 17, 22, 29, 51,
+    87, 80, 62, 18, 22, 37, 56, 68, 109, 103, 77, 24, 35, 55, 64, 81, 104, 113, 92, 49, 64, 78, 87, 103, 121, 120, 101,
+    72, 92, 95, 98, 112, 100, 103, 99,
 ];
 
 /// ITU-T T.81, table K.2.
 const COLOUR_STEPS: [u8; 64] = [
-    17, 18, 24, 47, 99, 99, 99, 99, 18, 21, 26, 66, 99, 99, 99, 99, 24, 26, 56, 99, 99, 99, 99, 99, 47, 66, 99, 99, 99, 99,
-    99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99,
-    99, 99, 99, 99,
+    17, 18, 24, 47, 99, 99, 99, 99, 18, 21, 26, 66, 99, 99, 99, 99, 24, 26, 56, 99, 99, 99, 99, 99, 47, 66, 99, 99, 99,
+    99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99,
+    99, 99, 99, 99, 99, 99,
 ];
 
 #[cfg(test)]
@@ -272,7 +288,10 @@ mod tests {
     #[test]
     fn compression_costs_more_the_lower_its_quality() {
         let errors = [95.0, 60.0, 20.0].map(error);
-        assert!(errors[0] > 0.3 && errors[0] < errors[1] && errors[1] < errors[2], "{errors:?}");
+        assert!(
+            errors[0] > 0.3 && errors[0] < errors[1] && errors[1] < errors[2],
+            "{errors:?}"
+        );
         assert!(errors[2] < 40.0, "{errors:?}");
         let mut grey = vec![120u8; 3 * 20 * 20];
         compress(&mut grey, [20, 20], 80.0);
@@ -284,7 +303,9 @@ mod tests {
         let cosines = cosines();
         for a in 0..BLOCK {
             for b in 0..BLOCK {
-                let dot: f32 = (0..BLOCK).map(|k| cosines[a * BLOCK + k] * cosines[b * BLOCK + k]).sum();
+                let dot: f32 = (0..BLOCK)
+                    .map(|k| cosines[a * BLOCK + k] * cosines[b * BLOCK + k])
+                    .sum();
                 assert!((dot - f32::from(u8::from(a == b))).abs() < 1e-6);
             }
         }

@@ -7,9 +7,9 @@ use rayon::prelude::*;
 use rogs_geometry::{Base, Camera, Pose};
 use rogs_schemas::Intrinsics;
 
+use super::photo::Photo;
 use super::raster::{Layer, NOBODY, Polygon};
 use super::seen::Seen;
-use super::photo::Photo;
 use super::sensor::Sensor;
 use super::shade::{BodyView, Shader};
 use super::shadow::LightMap;

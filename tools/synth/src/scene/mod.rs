@@ -14,7 +14,7 @@ use crate::render::{Material, Pattern, PreparedMesh, ShadowRegion};
 use crate::world::Sky;
 
 pub(crate) use objects::{Object, draw_objects};
-pub(crate) use room::{Builder, Room, draw_room};
+pub(crate) use room::{Builder, draw_room};
 
 /// Id of the first movable object in the id maps; robot links come before.
 pub const FIRST_OBJECT_ID: u8 = 64;

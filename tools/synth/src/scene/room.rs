@@ -38,7 +38,9 @@ impl Builder {
         shadow: bool,
     ) {
         // The last number says that nothing is seen; what comes after the one before it shares its id.
-        let id = FIRST_SCENERY_ID.saturating_add(self.bodies.len() as u8).min(u8::MAX - 1);
+        let id = FIRST_SCENERY_ID
+            .saturating_add(self.bodies.len() as u8)
+            .min(u8::MAX - 1);
         self.bodies.push(Body {
             id,
             mesh,

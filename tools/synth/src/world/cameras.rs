@@ -34,7 +34,8 @@ pub(crate) fn draw_wide_cameras(
     (table_z, base_height): (f64, f64),
 ) -> WideCameras {
     let lens_of_place = within(draw, world.field_of_view_deg);
-    let wrist_lens = lens(draw, resolution.wrist, within(draw, world.wrist_field_of_view_deg));
+    let of_wrist = within(draw, world.wrist_field_of_view_deg);
+    let wrist_lens = lens(draw, resolution.wrist, of_wrist);
     let same_lens = draw.chance(0.7);
     let poses: Vec<(Mount, f64)>;
     let mut eyes = Vec::new();
@@ -48,11 +49,22 @@ pub(crate) fn draw_wide_cameras(
         let baseline = |draw: &mut Draw| ZED2_BASELINE[0] * outline.scale * draw.range(0.5, 2.0);
         poses = views.iter().map(|view| (Mount::Fixed(*view), baseline(draw))).collect();
     } else {
-        let wrist = (Mount::Flange(wrist_mount(draw)), ZED_MINI_BASELINE[0] * draw.range(0.7, 1.6));
+        let wrist = (
+            Mount::Flange(wrist_mount(draw)),
+            ZED_MINI_BASELINE[0] * draw.range(0.7, 1.6),
+        );
         let pair = external_views(draw, world, outline.layout, table_z, -base_height);
         let away = draw.chance(world.look_away);
-        let turned = pair[1].rotation * rot_axis(DVec3::Y, draw.range(0.9, 2.4) * if draw.chance(0.5) { 1.0 } else { -1.0 });
-        let second = if away { Pose::new(turned, pair[1].translation) } else { pair[1] };
+        let turned = pair[1].rotation
+            * rot_axis(
+                DVec3::Y,
+                draw.range(0.9, 2.4) * if draw.chance(0.5) { 1.0 } else { -1.0 },
+            );
+        let second = if away {
+            Pose::new(turned, pair[1].translation)
+        } else {
+            pair[1]
+        };
         let workspace = DVec3::new(0.5, 0.0, table_z + 0.1);
         for (index, view) in [pair[0], second].iter().enumerate() {
             eyes.push(view.translation);
@@ -149,8 +161,7 @@ fn wrist_mount(draw: &mut Draw) -> Pose<BodyFrame, Camera> {
     let extra = rot_rpy(draw.normal3(0.04).to_array());
     let pose = hand_eye(translation, tilt, extra);
     let side = if draw.chance(0.25) { 1 + draw.index(3) } else { 0 };
-    let about: Pose<BodyFrame, BodyFrame> =
-        Pose::new(rot_z(side as f64 * std::f64::consts::FRAC_PI_2), DVec3::ZERO);
+    let about: Pose<BodyFrame, BodyFrame> = Pose::new(rot_z(side as f64 * std::f64::consts::FRAC_PI_2), DVec3::ZERO);
     about * pose
 }
 
@@ -167,7 +178,11 @@ fn external_views(
         let azimuth = draw.range(-std::f64::consts::PI, std::f64::consts::PI);
         let elevation = draw.range(0.1, 1.05);
         let level = libm::cos(elevation);
-        let towards = DVec3::new(level * libm::cos(azimuth), level * libm::sin(azimuth), libm::sin(elevation));
+        let towards = DVec3::new(
+            level * libm::cos(azimuth),
+            level * libm::sin(azimuth),
+            libm::sin(elevation),
+        );
         let mut eye = workspace + towards * within(draw, world.distance_m);
         eye.z = eye.z.max(floor_z + 0.2).max(table_z + 0.12);
         eye
@@ -179,7 +194,8 @@ fn external_views(
             let right = forward.cross(DVec3::Z).normalize_or(DVec3::Y);
             let side = if draw.chance(0.5) { 1.0 } else { -1.0 };
             let lift = DVec3::Z * draw.range(-0.15, 0.15);
-            let mut second = first + (right * side + lift) * within(draw, world.baseline_m) + forward * draw.range(-0.1, 0.1);
+            let mut second =
+                first + (right * side + lift) * within(draw, world.baseline_m) + forward * draw.range(-0.1, 0.1);
             second.z = second.z.max(floor_z + 0.2).max(table_z + 0.12);
             [first, second]
         }

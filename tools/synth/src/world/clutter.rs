@@ -5,9 +5,9 @@ use std::sync::Arc;
 use glam::DVec3;
 use rogs_geometry::Pose;
 
+use super::count;
 use super::room::WideRoom;
 use super::surface::Surfaces;
-use super::count;
 use crate::math::{Draw, rot_x, rot_z};
 use crate::mesh::TriMesh;
 use crate::render::PreparedMesh;

@@ -30,7 +30,10 @@ impl Parts {
     fn block(&mut self, low: [f64; 3], high: [f64; 3], material: u8) {
         let (low, high) = (DVec3::from_array(low), DVec3::from_array(high));
         let (half, middle) = (0.5 * (high - low), 0.5 * (low + high));
-        self.add(TriMesh::cuboid(half.to_array()).at(middle.x, middle.y, middle.z), material);
+        self.add(
+            TriMesh::cuboid(half.to_array()).at(middle.x, middle.y, middle.z),
+            material,
+        );
     }
 
     fn add(&mut self, mesh: TriMesh, material: u8) {
@@ -50,7 +53,12 @@ impl Parts {
 /// Draws a piece for a room of this scale.
 pub(crate) fn draw_piece(draw: &mut Draw, surfaces: &Surfaces<'_>, scale: f64) -> Piece {
     let (share, which) = (draw.unit(), draw.index(surfaces.props.models.len().max(1)));
-    if let Some(model) = surfaces.props.models.get(which).filter(|_| share < surfaces.world.models) {
+    if let Some(model) = surfaces
+        .props
+        .models
+        .get(which)
+        .filter(|_| share < surfaces.world.models)
+    {
         let size = 2.0 * model.half.max_element();
         let materials = (0..model.parts).map(|_| surfaces.thing(draw, size * scale)).collect();
         let mesh = if (scale - 1.0).abs() < 1e-3 {
@@ -99,7 +107,11 @@ pub(crate) fn draw_piece(draw: &mut Draw, surfaces: &Surfaces<'_>, scale: f64) -
 fn cupboard(draw: &mut Draw, parts: &mut Parts) -> bool {
     let hangs = draw.chance(0.3);
     let [x, y] = [draw.range(0.2, 0.7), draw.range(0.12, 0.32)];
-    let z = if hangs { draw.range(0.3, 0.8) } else { draw.range(0.4, 2.1) };
+    let z = if hangs {
+        draw.range(0.3, 0.8)
+    } else {
+        draw.range(0.4, 2.1)
+    };
     parts.block([-x, -y, 0.0], [x, y, z], 0);
     let doors = 1 + draw.index(3);
     let rows = 1 + draw.index(4);
@@ -111,7 +123,11 @@ fn cupboard(draw: &mut Draw, parts: &mut Parts) -> bool {
             let (low, high) = (z * row as f64 / rows as f64, z * (row + 1) as f64 / rows as f64);
             parts.block([left + gap, y, low + gap], [right - gap, y + 0.018, high - gap], 1);
             let knob = 0.5 * (low + high);
-            parts.block([right - 0.06, y + 0.018, knob - 0.04], [right - 0.045, y + 0.04, knob + 0.04], 2);
+            parts.block(
+                [right - 0.06, y + 0.018, knob - 0.04],
+                [right - 0.045, y + 0.04, knob + 0.04],
+                2,
+            );
         }
     }
     hangs
@@ -134,7 +150,11 @@ fn shelf(draw: &mut Draw, parts: &mut Parts) {
         // Books and boxes.
         let mut left = -x + 0.03;
         while left < x - 0.08 {
-            let wide = if draw.chance(0.6) { draw.range(0.015, 0.05) } else { draw.range(0.06, 0.25) };
+            let wide = if draw.chance(0.6) {
+                draw.range(0.015, 0.05)
+            } else {
+                draw.range(0.06, 0.25)
+            };
             if draw.chance(0.75) && left + wide < x - 0.03 {
                 let high = room * draw.range(0.35, 0.95);
                 let deep = y * draw.range(0.2, 1.0);
@@ -209,9 +229,16 @@ fn plant(draw: &mut Draw, parts: &mut Parts) {
     let (r, h) = (draw.range(0.08, 0.25), draw.range(0.12, 0.4));
     parts.add(TriMesh::lathe(&[[0.7 * r, 0.0], [r, h]], 16), 0);
     for _ in 0..3 + draw.index(5) {
-        let half = [draw.range(0.5, 1.2) * r, draw.range(0.5, 1.2) * r, draw.range(0.08, 0.35)];
+        let half = [
+            draw.range(0.5, 1.2) * r,
+            draw.range(0.5, 1.2) * r,
+            draw.range(0.08, 0.35),
+        ];
         let (x, y) = (draw.range(-r, r), draw.range(-r, r));
-        parts.add(TriMesh::ellipsoid(half, 10).at(x, y, h + half[2] * draw.range(0.5, 1.6)), 1 + draw.index(2) as u8);
+        parts.add(
+            TriMesh::ellipsoid(half, 10).at(x, y, h + half[2] * draw.range(0.5, 1.6)),
+            1 + draw.index(2) as u8,
+        );
     }
 }
 
@@ -221,7 +248,11 @@ fn screen(draw: &mut Draw, parts: &mut Parts) {
     parts.block([-0.03, -0.03, 0.0], [0.03, 0.03, foot + z], 0);
     parts.block([-0.5 * x, -0.12, 0.0], [0.5 * x, 0.12, 0.02], 0);
     parts.block([-x, 0.02, foot], [x, 0.06, foot + 2.0 * z], 0);
-    parts.block([-x + 0.02, 0.06, foot + 0.02], [x - 0.02, 0.063, foot + 2.0 * z - 0.02], 1);
+    parts.block(
+        [-x + 0.02, 0.06, foot + 0.02],
+        [x - 0.02, 0.063, foot + 2.0 * z - 0.02],
+        1,
+    );
 }
 
 fn bin(draw: &mut Draw, parts: &mut Parts) {
@@ -257,7 +288,11 @@ mod tests {
         for seed in 0..200 {
             let piece = draw_piece(&mut Draw::new(seed, 0), &surfaces, 0.5);
             let mesh = piece.mesh.mesh();
-            assert!(mesh.triangles.len() > 10 && mesh.triangles.len() < 6000, "{}", mesh.triangles.len());
+            assert!(
+                mesh.triangles.len() > 10 && mesh.triangles.len() < 6000,
+                "{}",
+                mesh.triangles.len()
+            );
             assert!(mesh.materials.iter().all(|&m| usize::from(m) < piece.materials.len()));
             for p in &mesh.positions {
                 let p = p.as_dvec3();

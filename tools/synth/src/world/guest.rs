@@ -50,7 +50,11 @@ impl GuestArm {
         (hand, tool): (usize, DVec3),
     ) -> std::result::Result<Self, String> {
         if joint_names.is_empty() || joint_names.len() != limits.len() {
-            return Err(format!("{} driven joints with {} limits", joint_names.len(), limits.len()));
+            return Err(format!(
+                "{} driven joints with {} limits",
+                joint_names.len(),
+                limits.len()
+            ));
         }
         if tool.length() < 0.01 {
             return Err("the tool is less than 1 cm from the hand, so that nobody knows where it points".into());
@@ -270,8 +274,13 @@ mod tests {
     #[test]
     fn an_arm_without_joints_or_tool_is_refused() {
         let robot = || Arc::new(Own(Robot::new()));
-        let refused = |joints: (Vec<String>, Vec<[f64; 2]>), tool| GuestArm::new(robot(), joints, Vec::new(), (8, tool));
-        assert!(refused((Vec::new(), Vec::new()), DVec3::Z).unwrap_err().contains("0 driven joints"));
+        let refused =
+            |joints: (Vec<String>, Vec<[f64; 2]>), tool| GuestArm::new(robot(), joints, Vec::new(), (8, tool));
+        assert!(
+            refused((Vec::new(), Vec::new()), DVec3::Z)
+                .unwrap_err()
+                .contains("0 driven joints")
+        );
         let one = (vec!["a".to_owned()], vec![[0.0, 1.0]]);
         assert!(refused(one.clone(), DVec3::ZERO).unwrap_err().contains("1 cm"));
         assert!(refused(one, DVec3::Z).unwrap_err().contains("0 links"));

@@ -18,8 +18,8 @@ use crate::math::Draw;
 
 pub(crate) use cameras::draw_wide_cameras;
 pub(crate) use clutter::draw_clutter;
-pub(crate) use guest::{GuestMotion, draw_guest_motion};
 pub use guest::{GuestArm, Kinematics, MOST_LINKS};
+pub(crate) use guest::{GuestMotion, draw_guest_motion};
 pub use props::{Model, Props, Sky};
 pub(crate) use room::{Keep, WideRoom, draw_wide_lights, draw_wide_room, furnish};
 pub(crate) use sensor::draw_wide_sensors;
@@ -290,30 +290,99 @@ impl World {
         }
         let weights = self.layouts.weights().map(|(_, weight)| weight);
         if weights.iter().any(|weight| !(0.0..=1e6).contains(weight)) || weights.iter().sum::<f64>() <= 0.0 {
-            return wrong("world.layouts", format!("{weights:?}"), "not negative, one of them positive");
+            return wrong(
+                "world.layouts",
+                format!("{weights:?}"),
+                "not negative, one of them positive",
+            );
         }
         for (what, range, [least, most], rule) in [
-            ("world.field_of_view_deg", self.field_of_view_deg, [20.0, 130.0], "ascending, from 20 to 130"),
+            (
+                "world.field_of_view_deg",
+                self.field_of_view_deg,
+                [20.0, 130.0],
+                "ascending, from 20 to 130",
+            ),
             (
                 "world.wrist_field_of_view_deg",
                 self.wrist_field_of_view_deg,
                 [20.0, 130.0],
                 "ascending, from 20 to 130",
             ),
-            ("world.distance_m", self.distance_m, [0.3, 4.0], "ascending, from 0.3 to 4"),
-            ("world.baseline_m", self.baseline_m, [0.02, 2.0], "ascending, from 0.02 to 2"),
-            ("world.base_distance_m", self.base_distance_m, [0.5, 10.0], "ascending, from 0.5 to 10"),
-            ("world.room_scale", self.room_scale, [0.2, 2.0], "ascending, from 0.2 to 2"),
+            (
+                "world.distance_m",
+                self.distance_m,
+                [0.3, 4.0],
+                "ascending, from 0.3 to 4",
+            ),
+            (
+                "world.baseline_m",
+                self.baseline_m,
+                [0.02, 2.0],
+                "ascending, from 0.02 to 2",
+            ),
+            (
+                "world.base_distance_m",
+                self.base_distance_m,
+                [0.5, 10.0],
+                "ascending, from 0.5 to 10",
+            ),
+            (
+                "world.room_scale",
+                self.room_scale,
+                [0.2, 2.0],
+                "ascending, from 0.2 to 2",
+            ),
             ("world.room_m", self.room_m, [2.0, 20.0], "ascending, from 2 to 20"),
-            ("world.base_height_m", self.base_height_m, [0.0, 1.5], "ascending, from 0 to 1.5"),
-            ("world.table_height_m", self.table_height_m, [-0.25, 0.15], "ascending, from -0.25 to 0.15"),
-            ("world.table_tilt_deg", self.table_tilt_deg, [0.0, 8.0], "ascending, from 0 to 8"),
-            ("world.sensor.exposure", sensor.exposure, [0.05, 8.0], "ascending, from 0.05 to 8"),
-            ("world.sensor.contrast", sensor.contrast, [0.3, 3.0], "ascending, from 0.3 to 3"),
-            ("world.sensor.vignette", sensor.vignette, [0.0, 0.9], "ascending, from 0 to 0.9"),
-            ("world.sensor.noise", sensor.noise, [0.0, 40.0], "ascending, from 0 to 40"),
+            (
+                "world.base_height_m",
+                self.base_height_m,
+                [0.0, 1.5],
+                "ascending, from 0 to 1.5",
+            ),
+            (
+                "world.table_height_m",
+                self.table_height_m,
+                [-0.25, 0.15],
+                "ascending, from -0.25 to 0.15",
+            ),
+            (
+                "world.table_tilt_deg",
+                self.table_tilt_deg,
+                [0.0, 8.0],
+                "ascending, from 0 to 8",
+            ),
+            (
+                "world.sensor.exposure",
+                sensor.exposure,
+                [0.05, 8.0],
+                "ascending, from 0.05 to 8",
+            ),
+            (
+                "world.sensor.contrast",
+                sensor.contrast,
+                [0.3, 3.0],
+                "ascending, from 0.3 to 3",
+            ),
+            (
+                "world.sensor.vignette",
+                sensor.vignette,
+                [0.0, 0.9],
+                "ascending, from 0 to 0.9",
+            ),
+            (
+                "world.sensor.noise",
+                sensor.noise,
+                [0.0, 40.0],
+                "ascending, from 0 to 40",
+            ),
             ("world.sensor.blur", sensor.blur, [0.0, 30.0], "ascending, from 0 to 30"),
-            ("world.sensor.quality", sensor.quality, [1.0, 100.0], "ascending, from 1 to 100"),
+            (
+                "world.sensor.quality",
+                sensor.quality,
+                [1.0, 100.0],
+                "ascending, from 1 to 100",
+            ),
         ] {
             let [low, high] = range;
             if !(least..=most).contains(&low) || !(low..=most).contains(&high) {
@@ -330,10 +399,25 @@ impl World {
         }
         for (what, value, most, rule) in [
             ("world.sensor.balance", sensor.balance, 0.6, "from 0 to 0.6"),
-            ("world.calibration.external_m", calibration.external_m, 0.1, "from 0 to 0.1"),
-            ("world.calibration.external_deg", calibration.external_deg, 10.0, "from 0 to 10"),
+            (
+                "world.calibration.external_m",
+                calibration.external_m,
+                0.1,
+                "from 0 to 0.1",
+            ),
+            (
+                "world.calibration.external_deg",
+                calibration.external_deg,
+                10.0,
+                "from 0 to 10",
+            ),
             ("world.calibration.wrist_m", calibration.wrist_m, 0.1, "from 0 to 0.1"),
-            ("world.calibration.wrist_deg", calibration.wrist_deg, 10.0, "from 0 to 10"),
+            (
+                "world.calibration.wrist_deg",
+                calibration.wrist_deg,
+                10.0,
+                "from 0 to 10",
+            ),
             ("world.calibration.focal", calibration.focal, 0.2, "from 0 to 0.2"),
         ] {
             if !(0.0..=most).contains(&value) {

@@ -208,7 +208,13 @@ mod tests {
         let corners = [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, 0.5, 0.7]];
         let model = Model::new(&corners, &[[0, 1, 2]]).unwrap();
         assert_eq!(model.triangles(), 2, "both sides");
-        let low = model.mesh.mesh().positions.iter().map(|p| p.z).fold(f32::INFINITY, f32::min);
+        let low = model
+            .mesh
+            .mesh()
+            .positions
+            .iter()
+            .map(|p| p.z)
+            .fold(f32::INFINITY, f32::min);
         assert!(low.abs() < 1e-6 && (model.half.z - 0.35).abs() < 1e-6);
         assert!(Model::new(&corners, &[]).is_none());
         assert!(Model::new(&corners.map(|c| c.map(|v| v * 100.0)), &[[0, 1, 2]]).is_none());

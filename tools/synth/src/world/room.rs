@@ -78,7 +78,9 @@ pub(crate) fn draw_wide_room(
     }
     let inside: Vec<DVec3> = inside.iter().map(|p| base_from_room.inverse().point(*p)).collect();
     let mut low = inside.iter().fold(DVec2::INFINITY, |low, p| low.min(p.truncate()));
-    let mut high = inside.iter().fold(DVec2::NEG_INFINITY, |high, p| high.max(p.truncate()));
+    let mut high = inside
+        .iter()
+        .fold(DVec2::NEG_INFINITY, |high, p| high.max(p.truncate()));
     for axis in 0..2 {
         let margin = 0.35 * outline.scale;
         let wanted = within(draw, world.room_m) * outline.scale;
@@ -91,7 +93,14 @@ pub(crate) fn draw_wide_room(
     let top = (draw.range(2.3, 3.6) * outline.scale).max(highest + 0.3);
     let mut builder = Builder::default();
     let table = draw_table(draw, surfaces, &mut builder, (table_z, floor_z));
-    shell(draw, surfaces, &mut builder, (&base_from_room, outline.scale), [low, high], top);
+    shell(
+        draw,
+        surfaces,
+        &mut builder,
+        (&base_from_room, outline.scale),
+        [low, high],
+        top,
+    );
     let room = WideRoom {
         base_from_room,
         low,
@@ -102,12 +111,21 @@ pub(crate) fn draw_wide_room(
 }
 
 /// The table, which is the floor where the robot stands on it; the rest of the room is not settled.
-fn draw_table(draw: &mut Draw, surfaces: &Surfaces<'_>, builder: &mut Builder, (table_z, floor_z): (f64, f64)) -> WideRoom {
+fn draw_table(
+    draw: &mut Draw,
+    surfaces: &Surfaces<'_>,
+    builder: &mut Builder,
+    (table_z, floor_z): (f64, f64),
+) -> WideRoom {
     let world = surfaces.world;
     let on_floor = -floor_z < ON_THE_FLOOR_M;
     let bolted = draw.chance(0.5);
     let (far, half_y) = (draw.range(0.75, 1.5), draw.range(0.4, 1.1));
-    let near = if bolted { -draw.range(0.15, 0.6) } else { draw.range(0.17, 0.28) };
+    let near = if bolted {
+        -draw.range(0.15, 0.6)
+    } else {
+        draw.range(0.17, 0.28)
+    };
     let side = draw.range(-0.15, 0.15);
     let thickness = draw.range(0.015, 0.06);
     let angle = within(draw, world.table_tilt_deg).to_radians();
@@ -164,7 +182,11 @@ fn shell(
         builder.add(mesh, *base_from_room * at, material, false);
     };
     let period = [0.4 * scale, 2.5 * scale];
-    block([low.x, low.y, -0.1], [high.x, high.y, 0.0], surfaces.plane(draw, period));
+    block(
+        [low.x, low.y, -0.1],
+        [high.x, high.y, 0.0],
+        surfaces.plane(draw, period),
+    );
     let white = Material {
         grain: 0.02,
         ..Material::plain([draw.range(0.6, 0.9) as f32; 3])
@@ -195,7 +217,11 @@ fn shell(
             let along = [(middle - 0.5 * size).max(ends[0]), (middle + 0.5 * size).min(ends[1])];
             let door = draw.chance(0.2);
             let bottom = if door { 0.0 } else { draw.range(0.5, 1.6) * scale };
-            let height = if door { draw.range(1.9, 2.2) } else { draw.range(0.2, 1.2) } * scale;
+            let height = if door {
+                draw.range(1.9, 2.2)
+            } else {
+                draw.range(0.2, 1.2)
+            } * scale;
             let deep = draw.range(0.01, 0.08) * scale;
             let bright = draw.chance(0.2);
             let material = if bright {
@@ -205,7 +231,12 @@ fn shell(
                 surfaces.thing(draw, size)
             };
             if along[1] > along[0] && bottom + 0.05 < top {
-                slab(along, [bottom, (bottom + height).min(top - 0.01)], [0.0, deep], material);
+                slab(
+                    along,
+                    [bottom, (bottom + height).min(top - 0.01)],
+                    [0.0, deep],
+                    material,
+                );
             }
         }
     }
@@ -266,9 +297,15 @@ pub(crate) fn furnish(
         let radius = half.truncate().length();
         let spot = (0..6).find_map(|_| {
             let (place, turn) = draw_spot(draw, room, outline, keep, half)?;
-            let lift = if piece.hangs { draw.range(0.6, 1.5) * outline.scale } else { 0.0 };
+            let lift = if piece.hangs {
+                draw.range(0.6, 1.5) * outline.scale
+            } else {
+                0.0
+            };
             let room_from_piece = Pose::<BodyFrame, BodyFrame>::new(rot_z(turn), place.extend(lift));
-            let crowded = discs.iter().any(|(other, its)| other.distance(place) < 0.75 * (its + radius));
+            let crowded = discs
+                .iter()
+                .any(|(other, its)| other.distance(place) < 0.75 * (its + radius));
             let pose = room.base_from_room * room_from_piece;
             (!crowded && is_clear(draw, &piece, &pose, keep)).then_some((place, pose))
         });
@@ -280,13 +317,7 @@ pub(crate) fn furnish(
 }
 
 /// A place on the floor for a piece of these half extents, in the frame of the room, and its turn.
-fn draw_spot(
-    draw: &mut Draw,
-    room: &WideRoom,
-    outline: Outline,
-    keep: &Keep<'_>,
-    half: DVec3,
-) -> Option<(DVec2, f64)> {
+fn draw_spot(draw: &mut Draw, room: &WideRoom, outline: Outline, keep: &Keep<'_>, half: DVec3) -> Option<(DVec2, f64)> {
     let quarter = std::f64::consts::FRAC_PI_2;
     let size = room.high - room.low;
     let (wall, share, wobble) = (draw.index(4), draw.unit(), draw.range(-0.06, 0.06));
@@ -306,7 +337,11 @@ fn draw_spot(
         }
         let mut place = DVec2::ZERO;
         place[axis] = room.low[axis] + along + share * free;
-        place[1 - axis] = if wall % 2 == 0 { room.low[1 - axis] + across } else { room.high[1 - axis] - across };
+        place[1 - axis] = if wall % 2 == 0 {
+            room.low[1 - axis] + across
+        } else {
+            room.high[1 - axis] - across
+        };
         return Some((place, turn * quarter + wobble * 0.3));
     }
     let turn = draw.range(-std::f64::consts::PI, std::f64::consts::PI);

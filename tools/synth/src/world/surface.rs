@@ -51,7 +51,11 @@ impl Surfaces<'_> {
             scale: draw.range(0.5 * period[0], 0.5 * period[1]) as f32,
             offset: Vec3::new(draw.range(0.0, 9.0) as f32, draw.range(0.0, 9.0) as f32, 0.37),
             grain: draw.range(0.0, 0.1) as f32,
-            gloss: if draw.chance(0.3) { draw.range(0.02, 0.25) as f32 } else { 0.0 },
+            gloss: if draw.chance(0.3) {
+                draw.range(0.02, 0.25) as f32
+            } else {
+                0.0
+            },
         };
         self.photographed(draw, plain, period)
     }
@@ -59,7 +63,10 @@ impl Surfaces<'_> {
     /// The same with a photograph of this period in metres, for a share of surfaces.
     fn photographed(&self, draw: &mut Draw, plain: Material, period: [f64; 2]) -> Material {
         let share = draw.unit();
-        let (which, scale) = (draw.index(self.props.photos.len().max(1)), draw.range(period[0], period[1]));
+        let (which, scale) = (
+            draw.index(self.props.photos.len().max(1)),
+            draw.range(period[0], period[1]),
+        );
         let tint = hsv(draw.unit(), draw.range(0.0, 0.25), 1.0);
         let brightness = draw.range(0.6, 1.25) as f32;
         if self.props.photos.is_empty() || share >= self.world.photos {

@@ -98,7 +98,10 @@ fn files(folder: &Path, endings: &[&str]) -> Result<Vec<PathBuf>> {
             found.push(path);
         }
         if found.len() > MOST_FILES {
-            return Err(unusable(folder, &format!("holds more than {MOST_FILES} files; leave fewer there")));
+            return Err(unusable(
+                folder,
+                &format!("holds more than {MOST_FILES} files; leave fewer there"),
+            ));
         }
     }
     found.sort();
@@ -135,7 +138,10 @@ fn model(path: &Path) -> Result<Model> {
     let file = Mesh::load(path, &folder, MeshAxes::Viewers).map_err(|error| unusable(path, &error.chain()))?;
     let Mesh { positions, triangles } = simplified(file.mesh, MOST_TRIANGLES);
     Model::new(&positions, &triangles).ok_or_else(|| {
-        unusable(path, "is no thing of a room: expected z up in metres, a box of 2 cm to 6 m; take it out of the folder")
+        unusable(
+            path,
+            "is no thing of a room: expected z up in metres, a box of 2 cm to 6 m; take it out of the folder",
+        )
     })
 }
 

@@ -50,7 +50,7 @@ impl Kinematics for Described {
         }
         let mut state = JointState { values };
         self.model.follow_mimics(&mut state);
-        self.model.fk(&state).into_iter().map(Pose::relabelled).collect()
+        self.model.fk(&state).iter().map(Pose::relabelled).collect()
     }
 }
 
@@ -79,7 +79,11 @@ pub(super) fn arm(settings: &RobotSettings) -> Result<GuestArm> {
                 continue;
             }
             let collision = matches_any(&spec.collision_links, &description.name);
-            let shapes = if collision { &description.collision } else { &description.visual };
+            let shapes = if collision {
+                &description.collision
+            } else {
+                &description.visual
+            };
             let mut mesh = Mesh::default();
             for shape in shapes {
                 mesh.append(&Mesh::of_shape(shape, &model.folder, spec.mesh_axes)?.mesh);

@@ -44,7 +44,10 @@ fn clustered(mesh: &Mesh, low: [f32; 3], cell: f32) -> Mesh {
         })
         .collect();
     let mut seen = std::collections::BTreeSet::new();
-    let triangles = mesh.triangles.iter().map(|triangle| triangle.map(|v| cells[v as usize]));
+    let triangles = mesh
+        .triangles
+        .iter()
+        .map(|triangle| triangle.map(|v| cells[v as usize]));
     let triangles = triangles.filter(|&[a, b, c]| {
         let mut corners = [a, b, c];
         corners.sort_unstable();
@@ -75,11 +78,13 @@ mod tests {
                     std::f64::consts::PI * f64::from(k) / rings_f,
                 );
                 let (s, c) = polar.sin_cos();
-                mesh.positions.push([(s * turn.cos()) as f32, (s * turn.sin()) as f32, c as f32]);
+                mesh.positions
+                    .push([(s * turn.cos()) as f32, (s * turn.sin()) as f32, c as f32]);
                 let (next, below) = ((k + 1) % around, (ring + 1) * around);
                 if ring < rings {
                     mesh.triangles.push([ring * around + k, below + k, below + next]);
-                    mesh.triangles.push([ring * around + k, below + next, ring * around + next]);
+                    mesh.triangles
+                        .push([ring * around + k, below + next, ring * around + next]);
                 }
             }
         }
@@ -89,7 +94,11 @@ mod tests {
     #[test]
     fn fewer_triangles_lie_near_the_same_surface() {
         let small = simplified(ball(60), 1000);
-        assert!((200..=1000).contains(&small.triangles.len()), "{}", small.triangles.len());
+        assert!(
+            (200..=1000).contains(&small.triangles.len()),
+            "{}",
+            small.triangles.len()
+        );
         for p in &small.positions {
             let radius = p.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
             assert!((0.93..1.001).contains(&radius), "{radius}");

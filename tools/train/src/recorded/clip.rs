@@ -50,7 +50,10 @@ impl RecordedClips {
         if found.len() <= held_out {
             return Err(unusable(
                 &folder,
-                format!("{} clips have clip.r4c and robot.r4c, {held_out} of them are held out; none is left", found.len()),
+                format!(
+                    "{} clips have clip.r4c and robot.r4c, {held_out} of them are held out; none is left",
+                    found.len()
+                ),
             ));
         }
         let held_out = found.split_off(found.len() - held_out);
@@ -69,7 +72,13 @@ impl RecordedClips {
     }
 
     /// A clip with this many source times, or as many as it has.
-    pub(super) fn draw(&self, data: &DataSettings, times: u32, with_targets: bool, random: &mut Pcg64) -> Result<Sample> {
+    pub(super) fn draw(
+        &self,
+        data: &DataSettings,
+        times: u32,
+        with_targets: bool,
+        random: &mut Pcg64,
+    ) -> Result<Sample> {
         let folder = &self.training[below(random, self.training.len())];
         let read = Read::open(folder)?;
         let count = (times as usize).min(read.clip.source_frames.len());
@@ -166,7 +175,13 @@ impl Read {
         }
         if let Some(tracks) = &clip.tracks {
             let frames = clip.frame_count();
-            let whole = |track: &[f32]| track.chunks_exact(3).filter(|p| p.iter().all(|v| v.is_finite())).count() > 1;
+            let whole = |track: &[f32]| {
+                track
+                    .chunks_exact(3)
+                    .filter(|p| p.iter().all(|v| v.is_finite()))
+                    .count()
+                    > 1
+            };
             if tracks.camera.is_empty() || !tracks.position_m.chunks_exact(3 * frames).any(whole) {
                 return Err(self.wrong("its tracks are empty: none has two known positions"));
             }
@@ -188,9 +203,8 @@ impl Read {
             .map_err(|error| wrong(&self, &error))?;
         let recon_from_base: Pose<Recon, Base> = first.world_from_camera.inverse().relabelled();
         self.robot.recon_from_base = recon_from_base.to_rigid();
-        let conditioning =
-            rogs_conditioning::build(&self.clip, &self.robot, &rogs_conditioning::Params::default())
-                .map_err(|error| wrong(&self, &error))?;
+        let conditioning = rogs_conditioning::build(&self.clip, &self.robot, &rogs_conditioning::Params::default())
+            .map_err(|error| wrong(&self, &error))?;
         let area = self.clip.height as usize * self.clip.width as usize;
         let count = views.len();
         let mut sample = Sample {
@@ -231,10 +245,25 @@ impl Read {
             let time = time_of_frame(view.frame, self.clip.frame_count()) as f32;
             sample.views.push((view.camera, time));
         }
-        let tracked = self.clip.tracks.as_ref().map(|tracks| Tracked::of(tracks, &views, &self, &posed)).transpose()?;
+        let tracked = self
+            .clip
+            .tracks
+            .as_ref()
+            .map(|tracks| Tracked::of(tracks, &views, &self, &posed))
+            .transpose()?;
         for &frame in &self.clip.query_frames {
-            let query = self.query(frame, (&views, &conditioning), &recon_from_base, &mut sample, tracked.as_ref())?;
-            let targets = if with_targets { self.targets(frame, &posed)? } else { Vec::new() };
+            let query = self.query(
+                frame,
+                (&views, &conditioning),
+                &recon_from_base,
+                &mut sample,
+                tracked.as_ref(),
+            )?;
+            let targets = if with_targets {
+                self.targets(frame, &posed)?
+            } else {
+                Vec::new()
+            };
             sample.queries.push(Query { targets, ..query });
         }
         Ok(sample)
@@ -243,7 +272,8 @@ impl Read {
     /// Reference depth of a camera at a frame, and whether it counts; nothing where there is none.
     fn depth(&self, camera: CameraIndex, frame: FrameIndex, area: usize) -> (Vec<f32>, Vec<f32>) {
         let depth = self.clip.cameras[camera.at()].depth.as_ref();
-        let of_frame = depth.and_then(|depth| Some((depth.depth_m.get(frame.at() * area..)?.get(..area)?, depth.range_m)));
+        let of_frame =
+            depth.and_then(|depth| Some((depth.depth_m.get(frame.at() * area..)?.get(..area)?, depth.range_m)));
         match of_frame {
             Some((depth_m, range_m)) => reference_depth(depth_m, range_m),
             None => (vec![0.0; area], vec![0.0; area]),
@@ -254,7 +284,10 @@ impl Read {
     fn map(&self, view: SourceView) -> Result<&RobotMap> {
         let found = (self.robot.maps.iter()).find(|map| map.camera == view.camera && map.frame == view.frame);
         found.ok_or_else(|| {
-            self.wrong(format!("robot.r4c has no map of camera {} at frame {}", view.camera, view.frame))
+            self.wrong(format!(
+                "robot.r4c has no map of camera {} at frame {}",
+                view.camera, view.frame
+            ))
         })
     }
 
@@ -263,7 +296,9 @@ impl Read {
         let area = sample.size[0] * sample.size[1];
         let map = self.map(view)?;
         let k = &camera.lens.intrinsics;
-        let footprint = LiftParams::default().footprint_px.map(|pixels| pixels / k.fx.min(k.fy) as f32);
+        let footprint = LiftParams::default()
+            .footprint_px
+            .map(|pixels| pixels / k.fx.min(k.fy) as f32);
         for (pixel, (&depth_m, &supported)) in map.depth_m.iter().zip(&map.support).enumerate() {
             let at = index * area + pixel;
             if supported != 0 {
@@ -356,7 +391,9 @@ impl Read {
         let area = self.clip.height as usize * self.clip.width as usize;
         let mut targets = Vec::new();
         for (camera, own) in CameraIndex::first(self.clip.cameras.len()).zip(&self.clip.cameras) {
-            let Some(image) = self.clip.target(camera, frame) else { continue };
+            let Some(image) = self.clip.target(camera, frame) else {
+                continue;
+            };
             let (depth_iu, valid) = self.depth(camera, frame, area);
             let map = (self.robot.maps.iter()).find(|map| map.camera == camera && map.frame == frame);
             targets.push(Target {
@@ -414,7 +451,12 @@ impl Tracked {
             let camera = posed(view.camera, view.frame)?;
             let camera_from_recon = camera.world_from_camera.inverse();
             for (track, &its) in tracks.camera.iter().enumerate() {
-                let seen = tracks.visible.get(track * frames + view.frame.at()).copied().unwrap_or(0) != 0;
+                let seen = tracks
+                    .visible
+                    .get(track * frames + view.frame.at())
+                    .copied()
+                    .unwrap_or(0)
+                    != 0;
                 if its != view.camera || !seen {
                     continue;
                 }
@@ -446,4 +488,3 @@ impl Tracked {
         Ok(Self { pixels })
     }
 }
-

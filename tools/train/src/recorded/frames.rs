@@ -82,13 +82,22 @@ impl PosedFrames {
         let [width, height] = written.image_size;
         let sizes = (16..=8192).contains(&width) && (16..=8192).contains(&height);
         if !sizes || ![fx, fy, cx, cy, written.floor_y_m].iter().all(|v| v.is_finite()) || fx <= 0.0 || fy <= 0.0 {
-            return Err(wrong("the image size, an intrinsic number or the floor is impossible".into()));
+            return Err(wrong(
+                "the image size, an intrinsic number or the floor is impossible".into(),
+            ));
         }
         let poses = written.frames.iter().map(|frame| {
             let named = |error: rogs_geometry::Error| wrong(format!("frame `{}`: {error}", frame.name));
-            let plain = !frame.name.is_empty() && frame.name.chars().all(|c| c.is_ascii_alphanumeric() || "-_".contains(c));
+            let plain = !frame.name.is_empty()
+                && frame
+                    .name
+                    .chars()
+                    .all(|c| c.is_ascii_alphanumeric() || "-_".contains(c));
             if !plain {
-                return Err(wrong(format!("`{}` is no name of a frame: letters, digits, - and _", frame.name)));
+                return Err(wrong(format!(
+                    "`{}` is no name of a frame: letters, digits, - and _",
+                    frame.name
+                )));
             }
             Pose::<World, Camera>::from_written(&frame.world_from_camera).map_err(named)
         });
@@ -100,9 +109,14 @@ impl PosedFrames {
             poses,
             training,
         };
-        for (what, part) in [("for training", 0..frames.training), ("held out", frames.training..frames.poses.len())] {
+        for (what, part) in [
+            ("for training", 0..frames.training),
+            ("held out", frames.training..frames.poses.len()),
+        ] {
             let held_out = part.start > 0;
-            let alone = part.clone().all(|first| frames.company(first, &part).len() < SOURCE_CAMERAS - 1);
+            let alone = part
+                .clone()
+                .all(|first| frames.company(first, &part).len() < SOURCE_CAMERAS - 1);
             if alone && !(held_out && part.is_empty()) {
                 return Err(wrong(format!(
                     "of the {} frames {what} no three see the same: expected some 0.1 to 0.7 m apart that look the same way",
@@ -122,7 +136,11 @@ impl PosedFrames {
                 let path = self.place("depth", frame, "png");
                 return Err(unusable(
                     &path,
-                    format!("frame `{}`: the depth of {known} of {} pixels is known", frame.name, depth.len()),
+                    format!(
+                        "frame `{}`: the depth of {known} of {} pixels is known",
+                        frame.name,
+                        depth.len()
+                    ),
                 ));
             }
         }
@@ -130,7 +148,11 @@ impl PosedFrames {
     }
 
     fn place(&self, folder: &str, frame: &WrittenFrame, ending: &str) -> PathBuf {
-        self.settings.folder.join(folder).join(&frame.name).with_extension(ending)
+        self.settings
+            .folder
+            .join(folder)
+            .join(&frame.name)
+            .with_extension(ending)
     }
 
     /// Picture and depth of a frame, metres of the room, NaN where unknown.
@@ -150,14 +172,23 @@ impl PosedFrames {
             .into_rgb8();
         if picture.dimensions() != (width, height) {
             let (w, h) = picture.dimensions();
-            return Err(wrong(&path, format!("the picture is {w}x{h}; frames.json says {width}x{height}")));
+            return Err(wrong(
+                &path,
+                format!("the picture is {w}x{h}; frames.json says {width}x{height}"),
+            ));
         }
         let path = self.place("depth", frame, "png");
         let steps = rogs_arrays::Png::open(&path).map_err(|error| wrong(&path, error.to_string()))?;
-        let steps = steps.decode().map_err(|error| wrong(&path, error.to_string()))?.into_luma16();
+        let steps = steps
+            .decode()
+            .map_err(|error| wrong(&path, error.to_string()))?
+            .into_luma16();
         if steps.dimensions() != (width, height) {
             let (w, h) = steps.dimensions();
-            return Err(wrong(&path, format!("the depth is {w}x{h}; frames.json says {width}x{height}")));
+            return Err(wrong(
+                &path,
+                format!("the depth is {w}x{h}; frames.json says {width}x{height}"),
+            ));
         }
         let metres = |&step: &u16| if step == 0 { f32::NAN } else { f32::from(step) / 1000.0 };
         Ok((picture, steps.as_raw().iter().map(metres).collect()))
@@ -222,7 +253,13 @@ impl PosedFrames {
             .map(|k| {
                 let first = whole[k * whole.len() / count];
                 let company = self.company(first, &part);
-                self.sample((first, company), size, &setup, true, &mut Pcg64::from_seeds(&[9, first as u64]))
+                self.sample(
+                    (first, company),
+                    size,
+                    &setup,
+                    true,
+                    &mut Pcg64::from_seeds(&[9, first as u64]),
+                )
             })
             .collect()
     }
@@ -248,7 +285,13 @@ impl PosedFrames {
             let frame = &self.written.frames[index];
             let (picture, depth_m) = self.read(frame)?;
             let camera = PosedCamera::new(self.lens(), standing.place(&self.poses[index]));
-            Ok(Cut::of(&picture, &depth_m, camera.in_frame(&recon_from_base), size, setup))
+            Ok(Cut::of(
+                &picture,
+                &depth_m,
+                camera.in_frame(&recon_from_base),
+                size,
+                setup,
+            ))
         };
         let mut cuts = vec![view(first)?];
         for &index in sources {

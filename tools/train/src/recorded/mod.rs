@@ -80,7 +80,10 @@ fn heights() -> [f64; 2] {
 pub(crate) fn check_settings(data: &DataSettings) -> Result<()> {
     let wrong = |what, value: String, rule| Err(Error::Setting { what, value, rule });
     let mut sum = 0.0;
-    let recorded = data.recorded.iter().map(|own| ("data.recorded", own.share, own.held_out));
+    let recorded = data
+        .recorded
+        .iter()
+        .map(|own| ("data.recorded", own.share, own.held_out));
     let frames = data.frames.iter().map(|own| ("data.frames", own.share, own.held_out));
     for (what, share, held_out) in recorded.chain(frames) {
         if !(0.0..=1.0).contains(&share) || !(0.0..1.0).contains(&held_out) {
@@ -99,8 +102,18 @@ pub(crate) fn check_settings(data: &DataSettings) -> Result<()> {
     for own in &data.frames {
         for (what, [low, high], [least, most], rule) in [
             ("data.frames.scale", own.scale, [0.1, 4.0], "ascending, from 0.1 to 4"),
-            ("data.frames.base_distance_m", own.base_distance_m, [0.0, 20.0], "ascending, from 0 to 20"),
-            ("data.frames.base_height_m", own.base_height_m, [0.0, 3.0], "ascending, from 0 to 3"),
+            (
+                "data.frames.base_distance_m",
+                own.base_distance_m,
+                [0.0, 20.0],
+                "ascending, from 0 to 20",
+            ),
+            (
+                "data.frames.base_height_m",
+                own.base_height_m,
+                [0.0, 3.0],
+                "ascending, from 0 to 3",
+            ),
         ] {
             if !(least..=most).contains(&low) || !(low..=most).contains(&high) {
                 return wrong(what, format!("{low} to {high}"), rule);

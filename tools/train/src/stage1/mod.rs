@@ -189,9 +189,8 @@ impl Trainer for Stage1Trainer {
             .iter()
             .map(|more| format!(" and {} x {}", more.size[0], more.size[1]))
             .collect();
-        let provenance = format!(
-            "trained by rogs-train on {clips}, {step} updates at {height} x {width}{more}, {start}{time}"
-        );
+        let provenance =
+            format!("trained by rogs-train on {clips}, {step} updates at {height} x {width}{more}, {start}{time}");
         let mut metadata = stage1_metadata(&self.network.config, step > 0, &provenance);
         if self.procedural_only && !recorded {
             metadata.insert(TRAINING_DOMAIN.to_owned(), PROCEDURAL.to_owned());
