@@ -102,6 +102,13 @@ impl LightMap {
         inside && self.tops.heights[row * self.tops.count + column] - point.z <= LEAST_RISE
     }
 
+    /// Whether a ball may throw a shadow into the map; its centre is given in the map's frame, its radius in metres.
+    pub(crate) fn reaches(&self, centre: Vec3A, radius: f32) -> bool {
+        let (around, size) = (radius * self.texels * 1.001 + 1.0, self.layer.width as f32);
+        let within = |x: f32| x + around > 0.0 && x - around < size;
+        within(centre.x) && within(centre.y)
+    }
+
     /// Draws a mesh whose corners are given in the map's frame.
     pub(crate) fn draw(&mut self, corners: &[Vec3A], triangles: &[[u32; 3]]) {
         let (width, height) = (self.layer.width, self.layer.height);

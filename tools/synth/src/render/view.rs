@@ -56,6 +56,12 @@ impl<'a> LitScene<'a> {
             let mut corners = Vec::new();
             for (body, pose) in bodies.iter().zip(poses).filter(|(body, _)| body.shadow) {
                 let map_from_body = map.map_from_base * single(pose);
+                if !map.reaches(
+                    map_from_body.transform_point3a(body.mesh.sphere.0.into()),
+                    body.mesh.sphere.1,
+                ) {
+                    continue;
+                }
                 let mesh = body.mesh.mesh();
                 corners.clear();
                 corners.extend(

@@ -2,6 +2,7 @@
 //! from them; the plain cell is not touched by anything here.
 
 mod cameras;
+mod check;
 mod clutter;
 mod furniture;
 mod guest;
@@ -13,7 +14,6 @@ mod surface;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result};
 use crate::math::Draw;
 
 pub(crate) use cameras::draw_wide_cameras;
@@ -265,166 +265,6 @@ impl World {
         let scale = draw.range(low, high);
         let scale = if layout == Layout::Room { scale } else { 1.0 };
         Some(Outline { layout, scale })
-    }
-
-    /// Checks every setting.
-    ///
-    /// # Errors
-    /// [`Error::Config`] that names the setting and its range.
-    pub fn check(&self) -> Result<()> {
-        let wrong = |what, value: String, rule| Err(Error::Config { what, value, rule });
-        let (sensor, calibration) = (&self.sensor, &self.calibration);
-        for (what, share) in [
-            ("world.share", self.share),
-            ("world.look_away", self.look_away),
-            ("world.photos", self.photos),
-            ("world.models", self.models),
-            ("world.probes", self.probes),
-            ("world.arms", self.arms),
-            ("world.sensor.compressed", sensor.compressed),
-            ("world.calibration.share", calibration.share),
-        ] {
-            if !(0.0..=1.0).contains(&share) {
-                return wrong(what, share.to_string(), "a share from 0 to 1");
-            }
-        }
-        let weights = self.layouts.weights().map(|(_, weight)| weight);
-        if weights.iter().any(|weight| !(0.0..=1e6).contains(weight)) || weights.iter().sum::<f64>() <= 0.0 {
-            return wrong(
-                "world.layouts",
-                format!("{weights:?}"),
-                "not negative, one of them positive",
-            );
-        }
-        for (what, range, [least, most], rule) in [
-            (
-                "world.field_of_view_deg",
-                self.field_of_view_deg,
-                [20.0, 130.0],
-                "ascending, from 20 to 130",
-            ),
-            (
-                "world.wrist_field_of_view_deg",
-                self.wrist_field_of_view_deg,
-                [20.0, 130.0],
-                "ascending, from 20 to 130",
-            ),
-            (
-                "world.distance_m",
-                self.distance_m,
-                [0.3, 4.0],
-                "ascending, from 0.3 to 4",
-            ),
-            (
-                "world.baseline_m",
-                self.baseline_m,
-                [0.02, 2.0],
-                "ascending, from 0.02 to 2",
-            ),
-            (
-                "world.base_distance_m",
-                self.base_distance_m,
-                [0.5, 10.0],
-                "ascending, from 0.5 to 10",
-            ),
-            (
-                "world.room_scale",
-                self.room_scale,
-                [0.2, 2.0],
-                "ascending, from 0.2 to 2",
-            ),
-            ("world.room_m", self.room_m, [2.0, 20.0], "ascending, from 2 to 20"),
-            (
-                "world.base_height_m",
-                self.base_height_m,
-                [0.0, 1.5],
-                "ascending, from 0 to 1.5",
-            ),
-            (
-                "world.table_height_m",
-                self.table_height_m,
-                [-0.25, 0.15],
-                "ascending, from -0.25 to 0.15",
-            ),
-            (
-                "world.table_tilt_deg",
-                self.table_tilt_deg,
-                [0.0, 8.0],
-                "ascending, from 0 to 8",
-            ),
-            (
-                "world.sensor.exposure",
-                sensor.exposure,
-                [0.05, 8.0],
-                "ascending, from 0.05 to 8",
-            ),
-            (
-                "world.sensor.contrast",
-                sensor.contrast,
-                [0.3, 3.0],
-                "ascending, from 0.3 to 3",
-            ),
-            (
-                "world.sensor.vignette",
-                sensor.vignette,
-                [0.0, 0.9],
-                "ascending, from 0 to 0.9",
-            ),
-            (
-                "world.sensor.noise",
-                sensor.noise,
-                [0.0, 40.0],
-                "ascending, from 0 to 40",
-            ),
-            ("world.sensor.blur", sensor.blur, [0.0, 30.0], "ascending, from 0 to 30"),
-            (
-                "world.sensor.quality",
-                sensor.quality,
-                [1.0, 100.0],
-                "ascending, from 1 to 100",
-            ),
-        ] {
-            let [low, high] = range;
-            if !(least..=most).contains(&low) || !(low..=most).contains(&high) {
-                return wrong(what, format!("{low} to {high}"), rule);
-            }
-        }
-        for (what, [fewest, most], largest, rule) in [
-            ("world.furniture", self.furniture, 60, "ascending, at most 60"),
-            ("world.clutter", self.clutter, 40, "ascending, at most 40"),
-        ] {
-            if fewest > most || most > largest {
-                return wrong(what, format!("{fewest} to {most}"), rule);
-            }
-        }
-        for (what, value, most, rule) in [
-            ("world.sensor.balance", sensor.balance, 0.6, "from 0 to 0.6"),
-            (
-                "world.calibration.external_m",
-                calibration.external_m,
-                0.1,
-                "from 0 to 0.1",
-            ),
-            (
-                "world.calibration.external_deg",
-                calibration.external_deg,
-                10.0,
-                "from 0 to 10",
-            ),
-            ("world.calibration.wrist_m", calibration.wrist_m, 0.1, "from 0 to 0.1"),
-            (
-                "world.calibration.wrist_deg",
-                calibration.wrist_deg,
-                10.0,
-                "from 0 to 10",
-            ),
-            ("world.calibration.focal", calibration.focal, 0.2, "from 0 to 0.2"),
-        ] {
-            if !(0.0..=most).contains(&value) {
-                return wrong(what, value.to_string(), rule);
-            }
-        }
-        Ok(())
     }
 }
 

@@ -6,15 +6,16 @@ use rogs_geometry::{Base, Link, Pose, PosedCamera, Recon};
 use rogs_lift::LiftParams;
 use rogs_r4c::{Record, read_record};
 use rogs_random::Pcg64;
-use rogs_schemas::records::clip::{CameraRole, Clip, SourceView, Tracks, time_of_frame};
+use rogs_schemas::records::clip::{CameraRole, Clip, SourceView, time_of_frame};
 use rogs_schemas::records::conditioning::{Conditioning, KAPPA_CHANNELS, plane};
 use rogs_schemas::records::robot::{RobotMap, RobotMaps};
-use rogs_schemas::units::{LengthUnit, UNITS_PER_METRE, iu_from_m};
+use rogs_schemas::units::{LengthUnit, iu_from_m};
 use rogs_schemas::{CameraIndex, FrameIndex};
 use rogs_splat::RasterCamera;
 use rogs_stage1::NetworkCamera;
 
 use super::picture::{planar, reference_depth};
+use super::tracks::Tracked;
 use super::{RecordedSettings, unusable};
 use crate::config::DataSettings;
 use crate::error::{Error, Result};
@@ -245,12 +246,9 @@ impl Read {
             let time = time_of_frame(view.frame, self.clip.frame_count()) as f32;
             sample.views.push((view.camera, time));
         }
-        let tracked = self
-            .clip
-            .tracks
-            .as_ref()
-            .map(|tracks| Tracked::of(tracks, &views, &self, &posed))
-            .transpose()?;
+        let tracks = self.clip.tracks.as_ref();
+        let tracked = tracks.map(|tracks| Tracked::of(&self.clip, tracks, &views, &recon_from_base, &posed));
+        let tracked = tracked.transpose()?;
         for &frame in &self.clip.query_frames {
             let query = self.query(
                 frame,
@@ -412,79 +410,5 @@ impl Read {
             return Err(self.wrong(format!("no camera has an image at frame {frame}")));
         }
         Ok(targets)
-    }
-}
-
-/// Pixels of source views whose motion tracks tell.
-struct Tracked {
-    pixels: Vec<KnownPixel>,
-}
-
-struct KnownPixel {
-    view: usize,
-    pixel: usize,
-    /// Displacement to each frame, reconstruction frame, internal units; not finite where unknown. `[F]`
-    displacement_iu: Vec<[f32; 3]>,
-}
-
-impl KnownPixel {
-    fn moved(&self, frame: FrameIndex) -> Option<[f32; 3]> {
-        let moved = *self.displacement_iu.get(frame.at())?;
-        moved.iter().all(|value| value.is_finite()).then_some(moved)
-    }
-}
-
-impl Tracked {
-    /// The pixels in which cameras see points of their tracks at source times.
-    fn of(
-        tracks: &Tracks,
-        views: &[SourceView],
-        read: &Read,
-        posed: &dyn Fn(CameraIndex, FrameIndex) -> Result<PosedCamera<Recon>>,
-    ) -> Result<Self> {
-        let frames = read.clip.frame_count();
-        let [height, width] = [read.clip.height, read.clip.width].map(|side| side as usize);
-        let recon_from_base = Pose::<Recon, Base>::from_rigid(&read.robot.recon_from_base)
-            .map_err(|error| read.wrong(error.to_string()))?;
-        let mut pixels = Vec::new();
-        for (index, view) in views.iter().enumerate() {
-            let camera = posed(view.camera, view.frame)?;
-            let camera_from_recon = camera.world_from_camera.inverse();
-            for (track, &its) in tracks.camera.iter().enumerate() {
-                let seen = tracks
-                    .visible
-                    .get(track * frames + view.frame.at())
-                    .copied()
-                    .unwrap_or(0)
-                    != 0;
-                if its != view.camera || !seen {
-                    continue;
-                }
-                let positions = &tracks.position_m[3 * frames * track..][..3 * frames];
-                let at = |frame: usize| {
-                    let p = glam::DVec3::from_array(std::array::from_fn(|k| f64::from(positions[3 * frame + k])));
-                    recon_from_base.point(p)
-                };
-                let here = at(view.frame.at());
-                let Some((place, _)) = camera.lens.project(camera_from_recon.point(here)) else {
-                    continue;
-                };
-                let inside = (0.0..width as f64).contains(&place.x) && (0.0..height as f64).contains(&place.y);
-                if !here.is_finite() || !inside {
-                    continue;
-                }
-                let moved = |frame| ((at(frame) - here) * UNITS_PER_METRE).as_vec3().to_array();
-                let known = KnownPixel {
-                    view: index,
-                    pixel: place.y as usize * width + place.x as usize,
-                    displacement_iu: (0..frames).map(moved).collect(),
-                };
-                // A pixel counts at all query times or at none.
-                if read.clip.query_frames.iter().all(|&frame| known.moved(frame).is_some()) {
-                    pixels.push(known);
-                }
-            }
-        }
-        Ok(Self { pixels })
     }
 }

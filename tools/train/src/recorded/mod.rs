@@ -2,8 +2,10 @@
 //! share.
 
 mod clip;
+mod cut;
 mod frames;
 mod picture;
+mod tracks;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
