@@ -67,7 +67,9 @@ pub use rollout::{Distortions, write_rollout};
 pub use scene::{FIRST_OBJECT_ID, FIRST_SCENERY_ID};
 pub use sidecars::{EstimatorErrors, write_sidecars};
 pub use tracks::EpisodeTracks;
-pub use world::{CalibrationRanges, GuestArm, Kinematics, Layouts, MOST_LINKS, Model, Props, SensorRanges, Sky, World};
+pub use world::{
+    CalibrationRanges, GuestArm, GuestMesh, Kinematics, Layouts, MOST_LINKS, Model, Props, SensorRanges, Sky, World,
+};
 pub use write::{
     DATASET_FILE, DatasetSummary, EPISODES_FOLDER, ROBOT_FOLDER, write_dataset, write_dataset_with, write_episode,
 };

@@ -29,6 +29,17 @@ pub struct GuestArm {
     tool: DVec3,
 }
 
+/// The mesh of a link of a [`GuestArm`].
+#[derive(Debug, Clone, Default)]
+pub struct GuestMesh {
+    /// Number of the link.
+    pub link: usize,
+    /// Vertices in the link's frame, metres.
+    pub positions: Vec<[f32; 3]>,
+    /// Corners of each triangle.
+    pub triangles: Vec<[u32; 3]>,
+}
+
 /// Most links of an arm that have meshes.
 pub const MOST_LINKS: usize = 63;
 /// Most parts of a link with colours of their own.
@@ -37,8 +48,7 @@ const MOST_PARTS: usize = 3;
 const FULL_TURN: f64 = 2.9;
 
 impl GuestArm {
-    /// An arm of driven joints with their limits. `meshes`: positions in metres in the link's frame and triangles, of every
-    /// link that has any; `hand` is the link that carries gripper and wrist camera, `tool` the place between the fingers in
+    /// An arm of driven joints with their limits, and the meshes of all links that have any; `hand` is the link that carries gripper and wrist camera, `tool` the place between the fingers in
     /// its frame, metres.
     ///
     /// # Errors
@@ -46,7 +56,7 @@ impl GuestArm {
     pub fn new(
         kinematics: Arc<dyn Kinematics>,
         (joint_names, limits): (Vec<String>, Vec<[f64; 2]>),
-        meshes: Vec<(usize, Vec<[f32; 3]>, Vec<[u32; 3]>)>,
+        meshes: Vec<GuestMesh>,
         (hand, tool): (usize, DVec3),
     ) -> std::result::Result<Self, String> {
         if joint_names.is_empty() || joint_names.len() != limits.len() {
@@ -61,10 +71,10 @@ impl GuestArm {
         }
         let links: Vec<_> = meshes
             .into_iter()
-            .map(|(link, positions, triangles)| {
-                let mesh = TriMesh::two_sided(&positions, &triangles, MOST_PARTS);
+            .map(|own| {
+                let mesh = TriMesh::two_sided(&own.positions, &own.triangles, MOST_PARTS);
                 let parts = mesh.materials.iter().copied().max().unwrap_or(0) as usize + 1;
-                (link, mesh, parts)
+                (own.link, mesh, parts)
             })
             .filter(|(_, mesh, _)| !mesh.triangles.is_empty())
             .map(|(link, mesh, parts)| (link, Arc::new(PreparedMesh::new(mesh)), parts))
@@ -242,8 +252,11 @@ mod tests {
         let meshes = (0..robot.link_names().len())
             .map(|link| {
                 let mesh = robot.link_mesh(link);
-                let positions = mesh.positions.iter().map(|p| p.to_array()).collect();
-                (link, positions, mesh.triangles.clone())
+                GuestMesh {
+                    link,
+                    positions: mesh.positions.iter().map(|p| p.to_array()).collect(),
+                    triangles: mesh.triangles.clone(),
+                }
             })
             .collect();
         let joints = (ARM_JOINT_NAMES.map(str::to_owned).to_vec(), ARM_LIMITS.to_vec());

@@ -18,7 +18,7 @@ use crate::math::Draw;
 
 pub(crate) use cameras::draw_wide_cameras;
 pub(crate) use clutter::draw_clutter;
-pub use guest::{GuestArm, Kinematics, MOST_LINKS};
+pub use guest::{GuestArm, GuestMesh, Kinematics, MOST_LINKS};
 pub(crate) use guest::{GuestMotion, draw_guest_motion};
 pub use props::{Model, Props, Sky};
 pub(crate) use room::{Keep, WideRoom, draw_wide_lights, draw_wide_room, furnish};

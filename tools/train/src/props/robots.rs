@@ -8,7 +8,7 @@ use rogs_geometry::{Base, Pose};
 use rogs_robot::names::matches_any;
 use rogs_robot::{JointState, Mesh, RobotModel};
 use rogs_schemas::records::robot::RobotSpec;
-use rogs_synth::{BodyFrame, GuestArm, Kinematics};
+use rogs_synth::{BodyFrame, GuestArm, GuestMesh, Kinematics};
 use serde::{Deserialize, Serialize};
 
 use super::simplify::simplified;
@@ -90,7 +90,11 @@ pub(super) fn arm(settings: &RobotSettings) -> Result<GuestArm> {
             }
             if !mesh.triangles.is_empty() {
                 let Mesh { positions, triangles } = simplified(mesh, MOST_TRIANGLES);
-                meshes.push((link, positions, triangles));
+                meshes.push(GuestMesh {
+                    link,
+                    positions,
+                    triangles,
+                });
             }
         }
         Ok((model, hand, gripper, meshes))
