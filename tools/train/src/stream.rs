@@ -95,29 +95,15 @@ pub struct Stream<T> {
 pub fn batches(settings: &Stage1Training, from: u64) -> Stream<Batch> {
     let settings = settings.clone();
     let mut first = clips_before(&settings, from);
-    Stream::start(from..settings.steps, move |step| {
-        let batch = batch_from(&settings, step, first)?;
-        first += batch.clips.len() as u64;
-        Ok(batch)
-    let clips_of = |settings: &Stage1Training, step| u64::from(Shape::of(&settings.data, settings.seed, step).clips);
-    let mut first: u64 = (0..from).map(|step| clips_of(&settings, step)).sum();
     let mut opened = None;
     Stream::start(from..settings.steps, move |step| {
-        let data = &settings.data;
         let recordings = match &opened {
             Some(recordings) => recordings,
-            None => opened.insert(Recordings::open(data)?),
+            None => opened.insert(Recordings::open(&settings.data)?),
         };
-        let plans = plans(data, settings.seed, step, first);
-        let with_targets = settings.losses.renders_views();
-        let clip = |(plan, index): (&ClipPlan, u64)| {
-            let shape = (plan.size, plan.sources.len() as u32);
-            let recorded = recordings.clip(data, (settings.seed, index), shape, with_targets)?;
-            recorded.map_or_else(|| sampled(plan, data, with_targets), Ok)
-        };
-        let clips: Result<_> = plans.iter().zip(first..).map(clip).collect();
-        first += plans.len() as u64;
-        Ok(Batch { step, clips: clips? })
+        let batch = batch_from(&settings, recordings, step, first)?;
+        first += batch.clips.len() as u64;
+        Ok(batch)
     })
 }
 
@@ -126,20 +112,26 @@ pub fn batches(settings: &Stage1Training, from: u64) -> Stream<Batch> {
 /// # Errors
 /// When a clip cannot be made.
 pub fn batch(settings: &Stage1Training, step: u64) -> Result<Batch> {
-    batch_from(settings, step, clips_before(settings, step))
+    let recordings = Recordings::open(&settings.data)?;
+    batch_from(settings, &recordings, step, clips_before(settings, step))
 }
 
 /// Number of clips of all updates before this one.
 fn clips_before(settings: &Stage1Training, step: u64) -> u64 {
-    let clips_of = |step| u64::from(shape(&settings.data, settings.seed, step).1);
+    let clips_of = |step| u64::from(Shape::of(&settings.data, settings.seed, step).clips);
     (0..step).map(clips_of).sum()
 }
 
 /// The batch of an update; `first` as in [`plans`].
-fn batch_from(settings: &Stage1Training, step: u64, first: u64) -> Result<Batch> {
+fn batch_from(settings: &Stage1Training, recordings: &Recordings, step: u64, first: u64) -> Result<Batch> {
     let (data, with_targets) = (&settings.data, settings.losses.renders_views());
     let plans = plans(data, settings.seed, step, first);
-    let clips: Result<_> = plans.iter().map(|plan| sampled(plan, data, with_targets)).collect();
+    let clip = |(plan, index): (&ClipPlan, u64)| {
+        let shape = (plan.size, plan.sources.len() as u32);
+        let recorded = recordings.clip(data, (settings.seed, index), shape, with_targets)?;
+        recorded.map_or_else(|| sampled(plan, data, with_targets), Ok)
+    };
+    let clips: Result<_> = plans.iter().zip(first..).map(clip).collect();
     Ok(Batch { step, clips: clips? })
 }
 
