@@ -416,6 +416,7 @@ _scores = _row(
 )
 _origins = _row(depth=_many(_text), tracks=_maybe(_text))
 _references = _many(_row(kind=_variant(depth=None, tracks=None), camera=_text, origin=_text))
+_cross_view = _many(_row(camera=_text, frame=_u32, psnr=_maybe(_f64), shown=_f64))
 _renders = _many(_row(camera=_text, frame=_u32, height=_u32, width=_u32))
 HEADS = {
     "rogs.clip": {"clip": _whole(_clip), "reference_origins": _whole(_origins), "rollout": _whole(_rollout)},
@@ -429,6 +430,7 @@ HEADS = {
     "rogs.scores": {
         "summary": _whole(_scores),
         "references": _whole(_references),
+        "cross_view": _whole(_cross_view),
         "renders": _whole(_renders),
     },
 }

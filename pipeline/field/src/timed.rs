@@ -6,6 +6,7 @@
 
 use rayon::prelude::*;
 use rogs_geometry::{Base, Pose, Recon};
+use rogs_schemas::CameraIndex;
 use rogs_schemas::records::field::{Field, RAW_CHANNELS, TimeSlice};
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
 use rogs_schemas::units::iu_from_m;
@@ -119,6 +120,13 @@ impl<'a> TimedField<'a> {
                 times.join(", ")
             ))
         })
+    }
+
+    /// The camera whose pixel Gaussian `n` is; `n` below [`Field::len`].
+    #[must_use]
+    pub fn source_camera(&self, n: usize) -> CameraIndex {
+        let area = self.field.height as usize * self.field.width as usize;
+        self.field.views[n / area].camera
     }
 
     /// The Gaussians at a stored time, internal units, reconstruction frame. Row `n` is Gaussian `n` of the field.

@@ -103,6 +103,7 @@ fn fill(plan: &Plan) -> Anyhow<()> {
         n_empty_support: 0,
         invalid_gaussians: 0,
         references: Vec::new(),
+        cross_view: Vec::new(),
     };
     (0..plan.clips.len())
         .into_par_iter()

@@ -41,6 +41,8 @@ pub struct PlotPoint {
     pub y: f64,
     /// Name, for example of the clip.
     pub name: String,
+    /// Lower and upper end of its interval, drawn as a bar; `None`: none.
+    pub interval: Option<[f64; 2]>,
 }
 
 pub(crate) const WIDTH: f64 = 420.0;
@@ -89,7 +91,8 @@ impl Plot {
             let both = || all().flat_map(|point| [point.x, point.y]);
             return Axis::over(both()).zip(Axis::over(both()));
         }
-        Axis::over(all().map(|point| point.x)).zip(Axis::over(all().map(|point| point.y)))
+        let heights = all().flat_map(|point| [point.y].into_iter().chain(point.interval.into_iter().flatten()));
+        Axis::over(all().map(|point| point.x)).zip(Axis::over(heights))
     }
 
     /// The two axes with what they are, and the diagonal.
@@ -115,6 +118,11 @@ impl Plot {
         };
         html! {
             @if self.lines { path d={ "M" (path()) } fill="none" stroke=(colour) stroke-width="1.6" {} }
+            @for (point, [low, high]) in series.finite().filter_map(|point| Some((point, point.interval?))) {
+                @let at = tenths(x.at(point.x, LEFT, RIGHT));
+                path d={ "M" (at) " " (tenths(y.at(low, BOTTOM, TOP))) "V" (tenths(y.at(high, BOTTOM, TOP))) }
+                    stroke=(colour) stroke-opacity=".5" stroke-width="2" {}
+            }
             @if !self.bare {
                 @for point in series.finite() {
                     @let (x, y) = place(point);
@@ -174,6 +182,7 @@ mod tests {
             x,
             y,
             name: "a<b".into(),
+            interval: None,
         }
     }
 
@@ -195,5 +204,22 @@ mod tests {
         let bare = text(&Plot { bare: true, ..plot });
         assert!(!bare.contains("<title>") && bare.matches("stroke-width=\"1.6\"").count() == 1);
         assert!(Plot::default().figure().is_none());
+    }
+
+    #[test]
+    fn intervals_are_bars_and_widen_the_axis() {
+        let mut plot = Plot {
+            series: vec![Series {
+                label: String::new(),
+                points: vec![point(1.0, 2.0), point(2.0, 3.0)],
+            }],
+            ..Plot::default()
+        };
+        let text = |plot: &Plot| plot.figure().unwrap().into_string();
+        assert!(!text(&plot).contains("stroke-width=\"2\"") && !text(&plot).contains(">9<"));
+        plot.series[0].points[0].interval = Some([1.0, 9.0]);
+        let drawn = text(&plot);
+        assert_eq!(drawn.matches("stroke-width=\"2\"").count(), 1);
+        assert!(drawn.contains(">8<"), "{drawn}");
     }
 }

@@ -82,6 +82,9 @@ fn older_files_do_not_state_where_references_come_from() {
     let (read, _) = read_record::<Clip>(&golden("clip-1.0.r4c")).unwrap();
     assert_eq!(format!("{read:?}"), format!("{clip:?}"));
     let mut scores = common::scores();
+    scores.summary.cross_view.clear();
+    let (read, _) = read_record::<Scores>(&golden("scores-1.1.r4c")).unwrap();
+    assert_eq!(format!("{read:?}"), format!("{scores:?}"), "scores without a comparison across views");
     scores.summary.references.clear();
     let (read, _) = read_record::<Scores>(&golden("scores-1.0.r4c")).unwrap();
     assert_eq!(format!("{read:?}"), format!("{scores:?}"));
@@ -105,6 +108,7 @@ fn python_reads_the_same_bytes() {
         "refinement-1.0",
         "scores-1.0",
         "scores-1.1",
+        "scores-1.2",
     ];
     for name in names {
         let path = golden(&format!("{name}.r4c"));

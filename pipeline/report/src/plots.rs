@@ -3,8 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use rogs_pages::{Bars, Plot, PlotPoint, Series};
+use rogs_schemas::records::agreement::{Agreements, ViewState};
 use rogs_schemas::records::scores::ScoreSheet;
-use rogs_score::metrics::mean;
+use rogs_score::metrics::{bootstrap_interval, mean};
 use rogs_score::summary::{ImageMetric, Metric, clip_value};
 use rogs_score::tables::heading;
 
@@ -65,6 +66,7 @@ fn recurrence_plot(sheets: &[ScoreSheet], metric: Metric, label: &str) -> Plot {
             x: f64::from(update),
             y,
             name: format!("{update} updates, {} clips", values.len()),
+            ..PlotPoint::default()
         })
     };
     let several = by_setting.len() > 1;
@@ -109,6 +111,7 @@ fn clip_plot(sheets: &[ScoreSheet], methods: &[&str], metric: Metric, label: &st
             x: f64::from(x),
             y,
             name: (*clip).to_owned(),
+            ..PlotPoint::default()
         });
         plot.series.push(Series {
             label: (*first).to_owned(),
@@ -121,7 +124,12 @@ fn clip_plot(sheets: &[ScoreSheet], methods: &[&str], metric: Metric, label: &st
             let points = of(method).into_iter().filter_map(|(key, y)| {
                 let x = *base.get(&key)?;
                 let name = key.1.to_owned();
-                Some(PlotPoint { x, y, name })
+                Some(PlotPoint {
+                    x,
+                    y,
+                    name,
+                    ..PlotPoint::default()
+                })
             });
             plot.series.push(Series {
                 label: (*method).to_owned(),
@@ -131,6 +139,71 @@ fn clip_plot(sheets: &[ScoreSheet], methods: &[&str], metric: Metric, label: &st
     }
     plot.series.retain(|series| series.points.len() >= LEAST_CLIPS);
     plot
+}
+
+/// What is plotted over the frames of the clips: frame, and the value of each clip.
+type OverFrames = BTreeMap<u32, Vec<f64>>;
+
+/// What a world model does over the horizon, a line a setting, each point the mean over clips with its interval: the
+/// robot's distance from the commanded one, and how well the views agree with each other. Recorded frames are the floor.
+pub(crate) fn rollout_plots(agreements: &[Agreements], sheets: &[ScoreSheet]) -> Vec<Plot> {
+    let mut off: BTreeMap<String, OverFrames> = BTreeMap::new();
+    for clip in agreements {
+        let own = off.entry(heading(&clip.setting)).or_default();
+        for frame in 0..clip.frame_count {
+            let views = clip.cameras.iter().filter_map(|camera| camera.views.get(frame as usize));
+            let told = views.filter(|view| view.state == ViewState::Measured);
+            let lengths: Vec<f64> = told
+                .map(|view| f64::from(view.shift_px[0].hypot(view.shift_px[1])))
+                .collect();
+            own.entry(frame).or_default().extend(mean(&lengths));
+        }
+    }
+    let mut agree: BTreeMap<String, OverFrames> = BTreeMap::new();
+    for sheet in sheets.iter().filter(|sheet| !sheet.method.contains('/')) {
+        let name = format!("{}, {}", sheet.method, heading(&sheet.setting));
+        let frames: BTreeSet<u32> = sheet.cross_view.iter().map(|own| own.frame.0).collect();
+        for frame in frames {
+            let views = sheet.cross_view.iter().filter(|own| own.frame.0 == frame);
+            let values: Vec<f64> = views.filter_map(|own| own.psnr).collect();
+            let own = agree.entry(name.clone()).or_default();
+            own.entry(frame).or_default().extend(mean(&values));
+        }
+    }
+    let titles = [
+        ("Action following: distance of the robot from the commanded one", "px"),
+        ("Cross-view consistency: each view from the field of the others", "PSNR, dB"),
+    ];
+    let plots = titles.into_iter().zip([off, agree]);
+    plots
+        .map(|((title, label), series)| Plot {
+            title: title.to_owned(),
+            x_label: "frame".to_owned(),
+            y_label: label.to_owned(),
+            series: series
+                .into_iter()
+                .map(|(label, frames)| Series {
+                    label,
+                    points: frames.into_iter().filter_map(over_clips).collect(),
+                })
+                .filter(|series| !series.points.is_empty())
+                .collect(),
+            lines: true,
+            ..Plot::default()
+        })
+        .filter(|plot| !plot.series.is_empty())
+        .collect()
+}
+
+/// The mean over clips at a frame with its interval; `None` of nothing.
+fn over_clips((frame, values): (u32, Vec<f64>)) -> Option<PlotPoint> {
+    let interval = bootstrap_interval(&values)?;
+    Some(PlotPoint {
+        x: f64::from(frame),
+        y: interval.mean,
+        name: format!("frame {frame}, {} clips", values.len()),
+        interval: (values.len() > 1).then_some([interval.low, interval.high]),
+    })
 }
 
 /// The means of the main table by method, a group of bars a setting, for metrics that some method has.

@@ -35,7 +35,7 @@ pub struct RunResults {
     /// What the units cost, for the `timing` and `main` tables.
     timings: Vec<ClipTiming>,
     /// Whether the robot lies on the observations of every clip.
-    agreements: Vec<Agreements>,
+    pub(crate) agreements: Vec<Agreements>,
     /// What every method was given, by the first clip that has scores of it.
     signals: BTreeMap<(String, String), MethodSignals>,
     /// Clips that a method has no scores of, because something of its own failed.

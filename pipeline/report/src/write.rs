@@ -82,7 +82,13 @@ fn has_content(table: &Table) -> bool {
     }
     let of_variants = !matches!(
         table.id,
-        TableId::Main | TableId::Additional | TableId::Ci | TableId::Scale | TableId::Timing | TableId::Following
+        TableId::Main
+            | TableId::Additional
+            | TableId::Ci
+            | TableId::Scale
+            | TableId::Timing
+            | TableId::Following
+            | TableId::CrossView
     );
     let measured = table
         .rows

@@ -115,6 +115,7 @@ impl Stage for Toy {
                 n_empty_support: 0,
                 invalid_gaussians: 0,
                 references: Vec::new(),
+                cross_view: Vec::new(),
             },
             renders: vec![],
         };

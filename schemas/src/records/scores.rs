@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::check::{Check, area, count};
+use super::check::{Check, area, count, ensure};
 use super::field::WeightsInfo;
 use crate::ids::ClipId;
 use crate::index::FrameIndex;
@@ -45,6 +45,23 @@ pub struct ScoreSheet {
     /// What it was measured against: depth by camera, then tracks. It lies in a stream of its own.
     #[serde(skip)]
     pub references: Vec<ReferenceUse>,
+    /// How well the observations agree with each other: the image of every source camera against the field of the others,
+    /// at the query frames. It lies in a stream of its own.
+    #[serde(skip)]
+    pub cross_view: Vec<CrossViewScore>,
+}
+
+/// An observation against what the field of the other source cameras shows there (`docs/spec/scoring.md` section 14).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CrossViewScore {
+    /// Id of the camera that is left out.
+    pub camera: String,
+    /// Clip frame.
+    pub frame: FrameIndex,
+    /// PSNR over the pixels that the others show, dB; `None` where they are too few.
+    pub psnr: Option<f64>,
+    /// Share of the pixels that the others show, in 0..=1.
+    pub shown: f64,
 }
 
 /// Scores of one rendered image.
@@ -123,6 +140,11 @@ impl Scores {
     /// # Errors
     /// What contradicts what, in words.
     pub fn check(&self) -> Check {
+        for own in &self.summary.cross_view {
+            ensure((0.0..=1.0).contains(&own.shown), || {
+                format!("camera `{}` at frame {}: a share of {}", own.camera, own.frame, own.shown)
+            })?;
+        }
         for view in &self.renders {
             let area = area(view.height, view.width)?;
             let here = |what: String| format!("render of `{}` at frame {}: {what}", view.camera, view.frame);

@@ -8,6 +8,7 @@
 //! episodes, [`folders`] scores images without a manifest, [`outside`] evaluates the fields of other methods.
 
 pub mod cohort;
+mod cross_view;
 pub mod folders;
 pub mod measure;
 pub mod metrics;

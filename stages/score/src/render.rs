@@ -206,7 +206,7 @@ impl Scene<'_> {
     }
 
     /// The camera at a frame, in the frame and unit of the field's Gaussians.
-    fn camera(&self, source: &FieldSource<'_>, camera: CameraIndex, frame: FrameIndex) -> StageResult<RasterCamera> {
+    pub(crate) fn camera(&self, source: &FieldSource<'_>, camera: CameraIndex, frame: FrameIndex) -> StageResult<RasterCamera> {
         let camera = posed(self.clip, self.robot, camera, frame)?;
         Ok(match source {
             FieldSource::Own { recon_from_base, .. } => {
@@ -217,7 +217,7 @@ impl Scene<'_> {
     }
 
     /// The Gaussians at a frame in internal units.
-    fn gaussians(&self, source: &FieldSource<'_>, frame: FrameIndex) -> StageResult<Gaussians> {
+    pub(crate) fn gaussians(&self, source: &FieldSource<'_>, frame: FrameIndex) -> StageResult<Gaussians> {
         match source {
             FieldSource::Own { field, .. } => field.gaussians(self.time(frame)).map_err(|error| {
                 splat_error(error).with_hint(format!(

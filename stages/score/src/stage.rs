@@ -90,7 +90,7 @@ pub struct Score {
 impl Stage for Score {
     const NAME: &'static str = "score";
     const SUMMARY: &'static str = "Renders the field at the query plan from every camera and measures it.";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const OUTPUT: SchemaId = Scores::SCHEMA;
     type Params = ScoreParams;
 
@@ -290,6 +290,9 @@ impl Score {
             let mut measured = context.timed("measure", |_| self.measure(clip, robot, frame, &views))?;
             context.timed("lpips", |_| self.add_lpips(clip, &views, &mut measured, &mut sheet));
             sheet.robot_depth.push(pool_robot_depth(frame, &measured));
+            sheet
+                .cross_view
+                .extend(context.timed("cross_view", |_| scene.cross_views(frame))?);
             depths.add(&views, &measured);
             for (view, image) in views.into_iter().zip(measured) {
                 sheet.invalid_gaussians = sheet.invalid_gaussians.max(view.invalid);
@@ -356,6 +359,7 @@ impl Score {
             n_empty_support: 0,
             invalid_gaussians: 0,
             references: clip.references(),
+            cross_view: Vec::new(),
         }
     }
 

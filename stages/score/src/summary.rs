@@ -22,6 +22,10 @@ pub enum Metric {
     RobotEpe,
     /// Robot depth error, millimetres.
     RobotDepth,
+    /// PSNR of the observations against the field of the other cameras, dB.
+    CrossView,
+    /// Share of the observations that the field of the other cameras shows, PER CENT.
+    CrossViewShown,
 }
 
 /// A score of one image.
@@ -81,6 +85,10 @@ pub fn clip_value(sheet: &ScoreSheet, metric: Metric) -> Option<f64> {
                 .filter_map(|depth| depth.robot_depth_mm)
                 .collect::<Vec<_>>(),
         ),
+        Metric::CrossView => mean(&sheet.cross_view.iter().filter_map(|own| own.psnr).collect::<Vec<_>>()),
+        Metric::CrossViewShown => {
+            mean(&sheet.cross_view.iter().map(|own| 100.0 * own.shown).collect::<Vec<_>>())
+        }
     }
 }
 

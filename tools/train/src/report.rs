@@ -146,7 +146,7 @@ fn curve(title: &str, points: &[[f64; 2]]) -> Markup {
     let point = |&[x, y]: &[f64; 2]| PlotPoint {
         x,
         y,
-        name: String::new(),
+        ..PlotPoint::default()
     };
     let plot = Plot {
         title: title.to_owned(),

@@ -2,7 +2,7 @@
 
 use rogs_schemas::records::check::{area, count};
 use rogs_schemas::records::origin::{ReferenceKind, ReferenceUse};
-use rogs_schemas::records::scores::{RenderedView, ScoreSheet, Scores};
+use rogs_schemas::records::scores::{CrossViewScore, RenderedView, ScoreSheet, Scores};
 use rogs_schemas::{FrameIndex, SchemaId};
 use serde::{Deserialize, Serialize};
 
@@ -50,12 +50,14 @@ struct ReferenceHead {
 
 /// Name of the stream of [`ReferenceHead`]s.
 const REFERENCES: &str = "references";
+/// Name of the stream of [`CrossViewScore`]s; absent before version 1.2.
+const CROSS_VIEW: &str = "cross_view";
 
 impl Record for Scores {
     const SCHEMA: SchemaId = SchemaId {
         name: "rogs.scores",
         major: 1,
-        minor: 1,
+        minor: 2,
     };
 
     fn encode(&self, writer: &mut Writer) -> Result<()> {
@@ -68,6 +70,7 @@ impl Record for Scores {
         };
         let references: Vec<_> = self.summary.references.iter().map(reference).collect();
         writer.value(REFERENCES, &references)?;
+        writer.value(CROSS_VIEW, &self.summary.cross_view)?;
         let head = |view: &RenderedView| RenderHead {
             camera: view.camera.clone(),
             frame: view.frame,
@@ -94,6 +97,9 @@ impl Record for Scores {
                 let origin = origin.parse().map_err(wrong)?;
                 summary.references.push(ReferenceUse { kind, camera, origin });
             }
+        }
+        if reader.has(CROSS_VIEW) {
+            summary.cross_view = reader.value::<Vec<CrossViewScore>>(CROSS_VIEW)?;
         }
         let rgb = reader.stream::<u8>(&RGB, &[3])?;
         let depth = reader.stream::<f32>(&DEPTH, &[])?;

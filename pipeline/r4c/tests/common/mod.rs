@@ -20,7 +20,7 @@ use rogs_schemas::records::progress::Progress;
 use rogs_schemas::records::references::{MadeDepth, References};
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
-use rogs_schemas::records::scores::{ImageScore, RenderedView, RobotDepthScore, ScoreSheet, Scores, TrackScore};
+use rogs_schemas::records::scores::{CrossViewScore, ImageScore, RenderedView, RobotDepthScore, ScoreSheet, Scores, TrackScore};
 use rogs_schemas::{
     CacheKey, CameraIndex, ContentHash, EpisodeFrame, FrameIndex, Intrinsics, KeyMaterial, Provenance, RigidPose,
 };
@@ -541,6 +541,20 @@ pub(crate) fn scores() -> Scores {
                 kind: ReferenceKind::Tracks,
                 camera: String::new(),
                 origin: ReferenceOrigin::Kinematics,
+            },
+        ],
+        cross_view: vec![
+            CrossViewScore {
+                camera: "ext1".into(),
+                frame: FrameIndex(1),
+                psnr: Some(14.5),
+                shown: 0.75,
+            },
+            CrossViewScore {
+                camera: "wrist".into(),
+                frame: FrameIndex(1),
+                psnr: None,
+                shown: 0.0,
             },
         ],
     };

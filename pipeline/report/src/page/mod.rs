@@ -9,11 +9,12 @@ mod index;
 use std::collections::BTreeSet;
 
 use maud::{Markup, html};
+use rogs_schemas::records::clip::ROLLOUT;
 use rogs_score::tables::{Table, TableId};
 
 use crate::forms::to_html;
 use crate::players::{self, Player};
-use crate::plots::{bars, plots};
+use crate::plots::{bars, plots, rollout_plots};
 use crate::results::{ClipResults, RunResults};
 use crate::scenes::RobotMesh;
 
@@ -142,7 +143,10 @@ fn untrained_banner(results: &RunResults) -> Markup {
 
 fn figures(results: &RunResults) -> Markup {
     let bars = bars(&results.sheets);
-    let plots = plots(&results.sheets);
+    let mut plots = plots(&results.sheets);
+    if results.agreements.iter().any(|own| own.setting == ROLLOUT) {
+        plots.extend(rollout_plots(&results.agreements, &results.sheets));
+    }
     let plots = plots.iter().filter_map(rogs_pages::Plot::figure);
     let figures: Vec<Markup> = bars.iter().filter_map(rogs_pages::Bars::figure).chain(plots).collect();
     html! {

@@ -324,6 +324,7 @@ fn scores(clip: &str, method: &str, order: usize, index: usize) -> Scores {
             n_empty_support: 1,
             invalid_gaussians: 0,
             references: Vec::new(),
+            cross_view: Vec::new(),
         },
         renders: if main {
             let views = (0..3).flat_map(query);

@@ -16,7 +16,7 @@ pub fn table(id: TableId, input: &TableInput<'_>, options: TableOptions) -> Resu
     Ok(match (id, layout(id)) {
         (_, Some(layout)) => measured::table(id, layout, &set, input, options),
         (TableId::Cohort, _) => words::cohort(input.cohort, options),
-        (TableId::Following, _) => following::table(input.agreements, options),
+        (TableId::Following, _) => following::table(input.agreements),
         (TableId::Timing, _) => timing::table(&set, input, options),
         _ => words::inputs(input.signals, options),
     })

@@ -6,7 +6,7 @@ use rogs_schemas::records::agreement::{Agreements, CameraAgreement, ViewState};
 
 use crate::metrics::bootstrap_interval;
 use crate::tables::id::TableId;
-use crate::tables::input::{RECORDED, ROLLOUT, TableOptions, heading};
+use crate::tables::input::{RECORDED, ROLLOUT, heading};
 use crate::tables::table::{Better, Cell, Column, Row, Table};
 
 /// One number of a camera in a clip; `None` where it cannot be told.
@@ -21,8 +21,8 @@ const COLUMNS: [(&str, usize, Value); 6] = [
     ("drift (mm)", 1, |own| own.drift_m.map(|drift| 1000.0 * drift.value)),
 ];
 
-/// Makes the table: a row a camera, and one for all of them, recorded frames and rollouts apart.
-pub(super) fn table(agreements: &[Agreements], options: TableOptions) -> Table {
+/// Makes the table: a row a camera, and one for all of them, recorded frames and rollouts apart, each mean with its interval.
+pub(super) fn table(agreements: &[Agreements]) -> Table {
     let column = |(name, digits, _): (&'static str, usize, Value)| Column {
         digits,
         better: Some(Better::Lower),
@@ -38,9 +38,9 @@ pub(super) fn table(agreements: &[Agreements], options: TableOptions) -> Table {
             .flat_map(|own| own.cameras.iter().map(|camera| camera.name.as_str()))
             .collect();
         for name in names {
-            rows.push(row(setting, name, &own, &|camera| camera.name == name, options));
+            rows.push(row(setting, name, &own, &|camera| camera.name == name));
         }
-        rows.push(row(setting, "all cameras", &own, &|_| true, options));
+        rows.push(row(setting, "all cameras", &own, &|_| true));
     }
     let footnotes = if rows.is_empty() {
         vec!["nothing was measured: the stage `agreement` makes it".to_owned()]
@@ -66,7 +66,6 @@ fn row(
     label: &str,
     agreements: &[&Agreements],
     takes: &dyn Fn(&CameraAgreement) -> bool,
-    options: TableOptions,
 ) -> Row {
     // Clips are independent, the cameras of one are not: a clip gives the mean over its cameras.
     let of_clip = |clip: &&Agreements, value: Value| {
@@ -81,7 +80,7 @@ fn row(
         if values.is_empty() {
             return Cell::Missing;
         }
-        let interval = bootstrap_interval(&values).filter(|_| options.intervals);
+        let interval = bootstrap_interval(&values);
         Cell::Mean {
             value: values.iter().sum::<f64>() / values.len() as f64,
             clips: values.len(),
@@ -184,7 +183,7 @@ mod tests {
             clip("b", RECORDED, 1.5, Some(0.0)),
             clip("a", ROLLOUT, 4.0, Some(2.0)),
         ];
-        let made = table(&agreements, TableOptions::default());
+        let made = table(&agreements);
         let rows: Vec<(&str, &str, usize)> = (made.rows.iter())
             .map(|row| (row.group.as_str(), row.label.as_str(), row.clips))
             .collect();
@@ -205,6 +204,6 @@ mod tests {
         assert_eq!((floor[2], floor[4], floor[5]), (Some(7.0), Some(0.0), None));
         assert!((floor[3].unwrap() - 3.0).abs() < 1e-6);
         assert_eq!(values(2)[4], Some(2.0));
-        assert!(table(&[], TableOptions::default()).rows.is_empty());
+        assert!(table(&[]).rows.is_empty());
     }
 }

@@ -49,6 +49,13 @@ pub(crate) fn of(
     if id == TableId::Scale {
         notes.push("every depth image is scaled by the median ratio to its target; this diagnostic only".to_owned());
     }
+    if id == TableId::CrossView {
+        notes.push(
+            "the image of each source camera against the field without the Gaussians of its own pixels; recorded \
+             observations are the floor. With attention across cameras, the others have been lifted beside that image"
+                .to_owned(),
+        );
+    }
     let here = rows
         .iter()
         .filter(|row| sheets(&row.method).into_iter().any(was_scaled));

@@ -42,11 +42,13 @@ pub enum TableId {
     Timing,
     /// How the robot of the images follows the states.
     Following,
+    /// How well the observations agree with each other through the field.
+    CrossView,
 }
 
 impl TableId {
-    /// Every table, in the order of the paper; one of our own follows.
-    pub const ALL: [Self; 16] = [
+    /// Every table, in the order of the paper; two of our own follow.
+    pub const ALL: [Self; 17] = [
         Self::Main,
         Self::Joint,
         Self::Robot,
@@ -63,6 +65,7 @@ impl TableId {
         Self::Inputs,
         Self::Timing,
         Self::Following,
+        Self::CrossView,
     ];
 
     /// The id as people and files write it.
@@ -85,6 +88,7 @@ impl TableId {
             Self::Inputs => "inputs",
             Self::Timing => "timing",
             Self::Following => "following",
+            Self::CrossView => "cross_view",
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Which rows and columns every measured table has, as data: a new table is one [`Layout`] and its line in [`layout`].
 
 use crate::summary::ImageMetric::{AbsRel, AbsRelScaled, Delta1, FarAbsRel, Lpips, Psnr, Rmse, Ssim};
-use crate::summary::Metric::{self, Novel, RobotDepth, RobotEpe, Source};
+use crate::summary::Metric::{self, CrossView, CrossViewShown, Novel, RobotDepth, RobotEpe, Source};
 use crate::tables::id::TableId;
 use crate::tables::input::{RECORDED, ROLLOUT};
 use crate::tables::table::{Better, Column};
@@ -68,6 +68,7 @@ pub(crate) fn layout(id: TableId) -> Option<&'static Layout> {
         TableId::Recurrence => Some(&RECURRENCE),
         TableId::Latent => Some(&LATENT),
         TableId::LatentResolution => Some(&LATENT_RESOLUTION),
+        TableId::CrossView => Some(&CROSS_VIEW),
         TableId::Cohort | TableId::Inputs | TableId::Timing | TableId::Following => None,
     }
 }
@@ -280,9 +281,26 @@ static LATENT_RESOLUTION: Layout = Layout {
     ..PLAIN
 };
 
+static CROSS_VIEW: Layout = Layout {
+    title: "Cross-view consistency of the observations",
+    columns: &[
+        metric("PSNR from the other cameras", CrossView, 2),
+        metric("shown by them (%)", CrossViewShown, 1),
+    ],
+    rows: &[
+        row("Ours (Stage 1)", "stage1"),
+        row("Ours (Stage 1+2)", "stage1+2"),
+        row("Stage 1, no cross-camera", "stage1/no-cross-camera"),
+        row("Stage 1+2, no cross-camera", "stage1+2/no-cross-camera"),
+    ],
+    others: true,
+    intervals: true,
+    ..PLAIN
+};
+
 const fn metric(name: &'static str, metric: Metric, digits: usize) -> (Column, Origin) {
     let better = match metric {
-        Source(Psnr | Ssim | Delta1) | Novel(Psnr | Ssim | Delta1) => Better::Higher,
+        Source(Psnr | Ssim | Delta1) | Novel(Psnr | Ssim | Delta1) | CrossView | CrossViewShown => Better::Higher,
         _ => Better::Lower,
     };
     let column = Column {

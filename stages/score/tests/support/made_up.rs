@@ -5,7 +5,7 @@
 use rogs_random::Pcg64;
 use rogs_schemas::FrameIndex;
 use rogs_schemas::records::origin::{ReferenceKind, ReferenceOrigin, ReferenceUse};
-use rogs_schemas::records::scores::{ImageScore, RobotDepthScore, ScoreSheet, TrackScore};
+use rogs_schemas::records::scores::{CrossViewScore, ImageScore, RobotDepthScore, ScoreSheet, TrackScore};
 use rogs_score::cohort::CohortCounts;
 use rogs_score::timing::ClipTiming;
 
@@ -24,6 +24,7 @@ pub(crate) fn empty_sheet(method: &str, setting: &str, clip: &str) -> ScoreSheet
         n_empty_support: 0,
         invalid_gaussians: 0,
         references: Vec::new(),
+        cross_view: Vec::new(),
     }
 }
 
@@ -105,6 +106,15 @@ pub(crate) fn run() -> (Vec<ScoreSheet>, Vec<ClipTiming>) {
                     core_n: 50,
                 }];
                 sheet.references = references(clip);
+                let against = |camera: &str, psnr: Option<f64>, shown| CrossViewScore {
+                    camera: camera.into(),
+                    frame: FrameIndex(3),
+                    psnr,
+                    shown,
+                };
+                if method.starts_with("stage1") {
+                    sheet.cross_view = vec![against("ext1", Some(level - 1.0), 0.5), against("wrist", None, 0.0)];
+                }
                 sheets.push(sheet);
                 timings.push(ClipTiming {
                     method: (*method).into(),

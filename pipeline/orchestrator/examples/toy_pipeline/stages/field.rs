@@ -234,6 +234,7 @@ impl Stage for Score {
                     n_empty_support: 0,
                     invalid_gaussians: 0,
                     references: Vec::new(),
+                    cross_view: Vec::new(),
                 },
                 renders: pairs.iter().map(|&(camera, frame)| render(camera, frame)).collect(),
             },
