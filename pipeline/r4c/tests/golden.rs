@@ -84,7 +84,11 @@ fn older_files_do_not_state_where_references_come_from() {
     let mut scores = common::scores();
     scores.summary.cross_view.clear();
     let (read, _) = read_record::<Scores>(&golden("scores-1.1.r4c")).unwrap();
-    assert_eq!(format!("{read:?}"), format!("{scores:?}"), "scores without a comparison across views");
+    assert_eq!(
+        format!("{read:?}"),
+        format!("{scores:?}"),
+        "scores without a comparison across views"
+    );
     scores.summary.references.clear();
     let (read, _) = read_record::<Scores>(&golden("scores-1.0.r4c")).unwrap();
     assert_eq!(format!("{read:?}"), format!("{scores:?}"));

@@ -151,7 +151,10 @@ pub(crate) fn rollout_plots(agreements: &[Agreements], sheets: &[ScoreSheet]) ->
     for clip in agreements {
         let own = off.entry(heading(&clip.setting)).or_default();
         for frame in 0..clip.frame_count {
-            let views = clip.cameras.iter().filter_map(|camera| camera.views.get(frame as usize));
+            let views = clip
+                .cameras
+                .iter()
+                .filter_map(|camera| camera.views.get(frame as usize));
             let told = views.filter(|view| view.state == ViewState::Measured);
             let lengths: Vec<f64> = told
                 .map(|view| f64::from(view.shift_px[0].hypot(view.shift_px[1])))
@@ -172,7 +175,10 @@ pub(crate) fn rollout_plots(agreements: &[Agreements], sheets: &[ScoreSheet]) ->
     }
     let titles = [
         ("Action following: distance of the robot from the commanded one", "px"),
-        ("Cross-view consistency: each view from the field of the others", "PSNR, dB"),
+        (
+            "Cross-view consistency: each view from the field of the others",
+            "PSNR, dB",
+        ),
     ];
     let plots = titles.into_iter().zip([off, agree]);
     plots

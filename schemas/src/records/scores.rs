@@ -142,7 +142,10 @@ impl Scores {
     pub fn check(&self) -> Check {
         for own in &self.summary.cross_view {
             ensure((0.0..=1.0).contains(&own.shown), || {
-                format!("camera `{}` at frame {}: a share of {}", own.camera, own.frame, own.shown)
+                format!(
+                    "camera `{}` at frame {}: a share of {}",
+                    own.camera, own.frame, own.shown
+                )
             })?;
         }
         for view in &self.renders {

@@ -96,7 +96,10 @@ mod tests {
         let observed = [[102u8; 3], [102; 3], [255; 3], [255; 3]].concat();
         let (psnr, shown) = compare(&drawn, &observed);
         assert_eq!(shown, 0.5);
-        assert!((psnr.unwrap() - -10.0 * f64::log10(0.5 * 0.01)).abs() < 1e-4, "{psnr:?}");
+        assert!(
+            (psnr.unwrap() - -10.0 * f64::log10(0.5 * 0.01)).abs() < 1e-4,
+            "{psnr:?}"
+        );
         let (psnr, _) = compare(&render(vec![1.0; 4], vec![1.0; 12]), &[255; 12]);
         assert_eq!(psnr, Some(PSNR_CEILING_DB));
     }

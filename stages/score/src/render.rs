@@ -206,7 +206,12 @@ impl Scene<'_> {
     }
 
     /// The camera at a frame, in the frame and unit of the field's Gaussians.
-    pub(crate) fn camera(&self, source: &FieldSource<'_>, camera: CameraIndex, frame: FrameIndex) -> StageResult<RasterCamera> {
+    pub(crate) fn camera(
+        &self,
+        source: &FieldSource<'_>,
+        camera: CameraIndex,
+        frame: FrameIndex,
+    ) -> StageResult<RasterCamera> {
         let camera = posed(self.clip, self.robot, camera, frame)?;
         Ok(match source {
             FieldSource::Own { recon_from_base, .. } => {

@@ -86,9 +86,7 @@ pub fn clip_value(sheet: &ScoreSheet, metric: Metric) -> Option<f64> {
                 .collect::<Vec<_>>(),
         ),
         Metric::CrossView => mean(&sheet.cross_view.iter().filter_map(|own| own.psnr).collect::<Vec<_>>()),
-        Metric::CrossViewShown => {
-            mean(&sheet.cross_view.iter().map(|own| 100.0 * own.shown).collect::<Vec<_>>())
-        }
+        Metric::CrossViewShown => mean(&sheet.cross_view.iter().map(|own| 100.0 * own.shown).collect::<Vec<_>>()),
     }
 }
 

@@ -20,7 +20,9 @@ use rogs_schemas::records::progress::Progress;
 use rogs_schemas::records::references::{MadeDepth, References};
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
-use rogs_schemas::records::scores::{CrossViewScore, ImageScore, RenderedView, RobotDepthScore, ScoreSheet, Scores, TrackScore};
+use rogs_schemas::records::scores::{
+    CrossViewScore, ImageScore, RenderedView, RobotDepthScore, ScoreSheet, Scores, TrackScore,
+};
 use rogs_schemas::{
     CacheKey, CameraIndex, ContentHash, EpisodeFrame, FrameIndex, Intrinsics, KeyMaterial, Provenance, RigidPose,
 };

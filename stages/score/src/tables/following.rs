@@ -61,12 +61,7 @@ pub(super) fn table(agreements: &[Agreements]) -> Table {
     }
 }
 
-fn row(
-    setting: &str,
-    label: &str,
-    agreements: &[&Agreements],
-    takes: &dyn Fn(&CameraAgreement) -> bool,
-) -> Row {
+fn row(setting: &str, label: &str, agreements: &[&Agreements], takes: &dyn Fn(&CameraAgreement) -> bool) -> Row {
     // Clips are independent, the cameras of one are not: a clip gives the mean over its cameras.
     let of_clip = |clip: &&Agreements, value: Value| {
         let values: Vec<f64> = (clip.cameras.iter())
