@@ -9,8 +9,6 @@ use rogs_synth::{Episode, FIRST_OBJECT_ID, View};
 use crate::config::DataSettings;
 use crate::plan::ClipPlan;
 
-/// Cameras whose images the network sees; their right eyes follow them in the episode.
-pub(crate) const SOURCE_CAMERAS: usize = 3;
 /// References outside this interval take no part in depth losses, metres (as in scoring).
 pub(crate) const DEPTH_RANGE_M: [f32; 2] = [0.1, 5.0];
 

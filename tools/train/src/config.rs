@@ -12,8 +12,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
-use crate::props::RobotSettings;
-use crate::recorded::{self, FramesSettings, RecordedSettings};
+use crate::sources::{self, FramesSettings, RecordedSettings, RobotSettings};
 
 /// A Stage-1 training run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -478,7 +477,7 @@ impl DataSettings {
             let rule = "beside a table `[data.world]`, which says how often it is used";
             return wrong("data.props or data.robots", "given".into(), rule);
         }
-        recorded::check_settings(self)?;
+        sources::check(&self.recorded, &self.frames)?;
         for (what, share) in [
             ("data.conditioning_dropout", self.conditioning_dropout),
             ("data.anchoring_dropout", self.anchoring_dropout),

@@ -22,6 +22,7 @@ mod report;
 pub mod run;
 pub mod sample;
 mod segments;
+pub mod sources;
 pub mod stage1;
 pub mod stage2;
 pub mod stream;

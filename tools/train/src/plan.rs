@@ -4,11 +4,12 @@ use rogs_random::Pcg64;
 use rogs_schemas::{EpisodeFrame, FrameIndex};
 use rogs_synth::{Episode, Resolution, SynthConfig, generate_episode_with};
 
-use crate::builder::SOURCE_CAMERAS;
 use crate::config::DataSettings;
 use crate::error::{Error, Result};
 use crate::props::props;
 
+/// Cameras whose images the network sees; their right eyes follow them in the episode.
+pub(crate) const SOURCE_CAMERAS: usize = 3;
 /// Frames of a procedural episode.
 const EPISODE_FRAMES: u32 = 33;
 

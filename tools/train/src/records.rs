@@ -10,10 +10,11 @@ use rogs_schemas::records::robot::{RobotMap, RobotMaps};
 use rogs_schemas::{CameraIndex, ClipId, EpisodeFrame, FrameIndex};
 use rogs_synth::{ARM_JOINT_NAMES, CAMERA_NAMES, CAMERAS, FIRST_OBJECT_ID, View};
 
-use crate::builder::{ClipBuilder, DEPTH_RANGE_M, SOURCE_CAMERAS};
+use crate::builder::{ClipBuilder, DEPTH_RANGE_M};
 use crate::config::DataSettings;
 use crate::error::Result;
 use crate::plan::ClipPlan;
+use crate::plan::SOURCE_CAMERAS;
 
 /// The records of one clip.
 #[derive(Debug, Clone, PartialEq)]

@@ -15,9 +15,10 @@ use rogs_r4c::{Record, write_record};
 use rogs_schemas::key::{KeyMaterial, Provenance};
 use rogs_train::config::{DataSettings, LossWeights};
 use rogs_train::plan::ClipPlan;
-use rogs_train::recorded::{FramesSettings, RecordedSettings, Recordings};
+use rogs_train::recorded::Recordings;
 use rogs_train::records::Records;
 use rogs_train::sample::Sample;
+use rogs_train::sources::{FramesSettings, RecordedSettings};
 use rogs_train::{Stage1Trainer, Stage1Training, Trainer};
 
 fn data() -> DataSettings {

@@ -14,7 +14,6 @@ use rogs_robot::model::RobotFolder;
 use rogs_schemas::records::robot::MeshAxes;
 use rogs_synth::{Model, Photo, Props, Sky};
 
-pub use self::robots::RobotSettings;
 use self::simplify::simplified;
 use crate::config::DataSettings;
 use crate::error::{Error, Result};

@@ -1,33 +1,19 @@
 //! Other robots for procedural episodes: any URDF with meshes, and what of it is hand, tool and gripper.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 
 use glam::DVec3;
 use rogs_geometry::{Base, Pose};
 use rogs_robot::names::matches_any;
 use rogs_robot::{JointState, Mesh, RobotModel};
-use rogs_schemas::records::robot::RobotSpec;
 use rogs_synth::{BodyFrame, GuestArm, GuestMesh, Kinematics};
-use serde::{Deserialize, Serialize};
 
 use super::simplify::simplified;
 use crate::error::{Error, Result};
+use crate::sources::RobotSettings;
 
 /// Most triangles of a link; larger meshes are simplified.
 const MOST_TRIANGLES: usize = 1500;
-
-/// A robot that takes the place of the generator's own in a share of wide worlds.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RobotSettings {
-    /// Its URDF file.
-    pub urdf: PathBuf,
-    /// Base, gripper joint, tool link with the place between the fingers, and which geometry counts, as `[robot]` of a
-    /// manifest has them. Without it, those of a Panda with the Robotiq 2F-85.
-    #[serde(default)]
-    pub spec: RobotSpec,
-}
 
 /// Kinematics of a description.
 #[derive(Debug)]

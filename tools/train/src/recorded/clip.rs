@@ -16,10 +16,11 @@ use rogs_stage1::NetworkCamera;
 
 use super::picture::{planar, reference_depth};
 use super::tracks::Tracked;
-use super::{RecordedSettings, unusable};
+use super::unusable;
 use crate::config::DataSettings;
 use crate::error::{Error, Result};
 use crate::sample::{NO_CAP_IU, Query, Sample, Target};
+use crate::sources::RecordedSettings;
 
 /// The clips of a run.
 #[derive(Debug, Clone)]

@@ -16,10 +16,11 @@ use serde::Deserialize;
 
 use super::cut::{Cut, Setup, Standing, World};
 use super::picture::planar;
-use super::{FramesSettings, unusable};
-use crate::builder::SOURCE_CAMERAS;
+use super::unusable;
 use crate::error::{Error, Result};
+use crate::plan::SOURCE_CAMERAS;
 use crate::sample::{NO_CAP_IU, Query, Sample};
+use crate::sources::FramesSettings;
 
 /// What `frames.json` says.
 #[derive(Debug, Clone, Deserialize)]
@@ -87,7 +88,7 @@ impl PosedFrames {
                     .all(|c| c.is_ascii_alphanumeric() || "-_".contains(c));
             if !plain {
                 return Err(wrong(format!(
-                    "`{}` is no name of a frame: letters, digits, - and _",
+                    "invalid name of a frame `{}`: expected letters, digits, - and _",
                     frame.name
                 )));
             }

@@ -9,9 +9,9 @@ use rogs_schemas::{CameraIndex, FrameIndex};
 use rogs_splat::{RasterCamera, RasterConfig, render};
 
 use super::lifted::LiftedClip;
-use crate::builder::SOURCE_CAMERAS;
 use crate::error::Result;
 use crate::picture::{Canvas, Picture};
+use crate::plan::SOURCE_CAMERAS;
 
 /// A view of the field after some updates, RGB in 0..1. `[A, 3]`
 pub(super) fn view(
