@@ -226,6 +226,8 @@ pub enum Filled {
     Observations,
     /// How the files of `[rollouts]` lie.
     Rollout,
+    /// True where the manifest has `[rollouts]`.
+    HasRollouts,
     /// The network where `[weights]` names no file: the built-in one, or `"seeded"`.
     Weights(WeightsRole),
 }
@@ -520,7 +522,7 @@ stages! {
             Input::of("predictions", Provider::Predictions),
             Input::of("lpips", Provider::Weights(WeightsRole::Lpips)),
         ],
-        filled: &[("method", Filled::Method)],
+        filled: &[("method", Filled::Method), ("cross_view", Filled::HasRollouts)],
         figures: figures(1.8, 10.0, 850.0),
         outputs: &[
             Output {

@@ -79,6 +79,8 @@ pub struct ScoreParams {
     pub update: Option<u32>,
     /// Score an outside method's files (input `predictions`) instead of a field.
     pub prediction: Option<PredictionParams>,
+    /// Compare every observation with the field of the other cameras too. Runs with rollouts set it.
+    pub cross_view: bool,
 }
 
 /// The stage `score`.
@@ -290,9 +292,10 @@ impl Score {
             let mut measured = context.timed("measure", |_| self.measure(clip, robot, frame, &views))?;
             context.timed("lpips", |_| self.add_lpips(clip, &views, &mut measured, &mut sheet));
             sheet.robot_depth.push(pool_robot_depth(frame, &measured));
-            sheet
-                .cross_view
-                .extend(context.timed("cross_view", |_| scene.cross_views(frame))?);
+            if self.params.cross_view {
+                let views = context.timed("cross_view", |_| scene.cross_views(frame))?;
+                sheet.cross_view.extend(views);
+            }
             depths.add(&views, &measured);
             for (view, image) in views.into_iter().zip(measured) {
                 sheet.invalid_gaussians = sheet.invalid_gaussians.max(view.invalid);

@@ -526,6 +526,7 @@ impl<'a> Builder<'a> {
                 Filled::RobotSpec => (self.manifest.robot_spec().ok()).and_then(|spec| serde_json::to_value(spec).ok()),
                 Filled::Method => Some(Value::String(chain.column.rows(output))),
                 Filled::Observations => Some(Value::from(chain.setting.name())),
+                Filled::HasRollouts => self.manifest.rollouts.as_ref().map(|_| Value::from(true)),
                 Filled::Rollout => {
                     let rollouts = self.manifest.rollouts.as_ref();
                     let rollouts = rollouts.filter(|_| chain.setting == Setting::Rollout);
