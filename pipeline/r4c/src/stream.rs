@@ -156,6 +156,19 @@ pub struct StreamSpec {
 }
 
 impl StreamSpec {
+    /// Numbers as records of Gaussians have them: f32, byte planes compressed by zstd.
+    #[must_use]
+    pub const fn floats(name: &'static str, unit: Unit, frame: Frame) -> Self {
+        Self {
+            name,
+            dtype: Dtype::F32,
+            unit,
+            frame,
+            codec: Codec::PlanesZstd,
+            fill: "",
+        }
+    }
+
     /// The stream with this shape of one element (at most 4 dimensions; empty for scalars).
     #[must_use]
     pub fn info(&self, shape: &[u32]) -> StreamInfo {

@@ -87,7 +87,6 @@ impl Stage for Toy {
                         clip_id: context.clip_id().clone(),
                         counters: vec![("steps".to_owned(), done + 1)],
                         arrays: Vec::new(),
-                        notes: Vec::new(),
                     })?;
                     std::process::abort();
                 }

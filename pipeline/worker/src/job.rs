@@ -59,7 +59,7 @@ impl<S: Stage> Runner<S> {
         *lock(&CURRENT) = Some(job.output.clone());
         let result = self.guarded(job, &params, progress);
         rogs_files::remove_own(&job.output);
-        // A full disk or a network that is away may be mended: then the next attempt goes on.
+        // After a full disk or a lost network the next attempt may resume.
         let may_help = |error: &StageError| matches!(error.code, FailureCode::Io | FailureCode::Resource);
         if !result.as_ref().is_err_and(may_help) {
             let _ = std::fs::remove_file(kept_beside(&job.output));

@@ -32,7 +32,7 @@ pub trait Observer {
     /// Something a person should know; the work continues.
     fn warn(&mut self, _warning: String) {}
 
-    /// Keeps how far the work has come, in place of what was kept before: a job that is killed goes on from there.
+    /// Keeps how far the work has come, in place of what was kept before: a killed job resumes from there.
     ///
     /// # Errors
     /// When it cannot be written.

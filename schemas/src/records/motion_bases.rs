@@ -50,6 +50,21 @@ impl BasisGaussians {
         self.coefficients.len().checked_div(self.bases).unwrap_or(0)
     }
 
+    /// The arrays, in the order of the fields.
+    #[must_use]
+    pub fn arrays(&self) -> [&[f32]; 8] {
+        [
+            &self.rotations,
+            &self.translations,
+            &self.coefficients,
+            &self.means,
+            &self.quats,
+            &self.scales,
+            &self.opacities,
+            &self.colours,
+        ]
+    }
+
     /// The arrays agree with each other.
     ///
     /// # Errors

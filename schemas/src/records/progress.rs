@@ -1,4 +1,4 @@
-//! How far an optimisation has come: what a stage leaves beside its output, to go on from after a kill.
+//! How far an optimisation has come: what a stage leaves beside its output, to resume from after a kill.
 
 use super::check::{Check, count};
 use super::field::{NamedArray, array_length};
@@ -14,8 +14,6 @@ pub struct Progress {
     pub counters: Vec<(String, u64)>,
     /// Arrays by name.
     pub arrays: Vec<NamedArray>,
-    /// Texts by name.
-    pub notes: Vec<(String, String)>,
 }
 
 impl Progress {
@@ -35,15 +33,6 @@ impl Progress {
             .iter()
             .find(|own| own.name == name)
             .map(|own| own.data.as_slice())
-    }
-
-    /// A text.
-    #[must_use]
-    pub fn note(&self, name: &str) -> Option<&str> {
-        self.notes
-            .iter()
-            .find(|(own, _)| own == name)
-            .map(|(_, text)| text.as_str())
     }
 
     /// The arrays have the sizes of their shapes.

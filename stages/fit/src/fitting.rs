@@ -117,14 +117,13 @@ impl<'a> Fitting<'a> {
         fits
     }
 
-    /// The progress as a record, to go on from in another process.
+    /// The progress as a record, to resume from in another process.
     #[must_use]
     pub fn kept(&self) -> Kept {
         let mut kept = Kept {
             clip_id: self.inputs.clip.clip_id.clone(),
             counters: vec![("updates".to_owned(), u64::from(self.progress.updates))],
             arrays: Vec::new(),
-            notes: Vec::new(),
         };
         let groups = groups(&self.progress.parameters);
         for ((name, values), moments) in NAMES.iter().zip(groups).zip(&self.progress.moments) {

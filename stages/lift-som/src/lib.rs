@@ -3,7 +3,7 @@
 //!
 //! Every source camera is optimised by itself against its own images, the depth and the tracks that others estimated from
 //! them, and the mask that the robot's mesh gives. The cameras' fields stand together in the robot's base frame. There is no
-//! network in it. A job that is killed goes on from the last hundred updates, with the same bytes.
+//! network in it. A killed job resumes from the last multiple of a hundred updates, with the same bytes.
 
 mod initial;
 mod losses;

@@ -1,6 +1,6 @@
 //! The loss of a batch and its gradient (`docs/spec/baseline-som.md` section 6).
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use rayon::prelude::*;
 use rogs_optimise::losses::Loss;
 use rogs_optimise::losses::image::photometric;
@@ -17,8 +17,8 @@ use rogs_worker::StageResult;
 use crate::internal;
 use crate::motion::{self, At};
 use crate::observed::{Observed, ObservedFrame};
-use crate::scene::{Cloud, Scene, logistic};
-use crate::tracks_alone::{Image, add};
+use crate::scene::{Cloud, Scene, add, logistic};
+use crate::tracks_alone::Image;
 
 /// Weights of the terms.
 const TRACK: f64 = 2.0;
@@ -184,10 +184,10 @@ impl<'a> Batch<'a> {
         let mut extra = vec![0.0; count * channels];
         extra.chunks_exact_mut(channels).take(fg).for_each(|row| row[0] = 1.0);
         for (number, &target) in sample.targets.iter().enumerate() {
-            let camera = Rigid::of(&self.observed.frames[target]);
+            let camera_from_base = self.observed.frames[target].base_from_camera.inverse();
             let means: Vec<f32> = self.means(target).collect();
             for (row, mean) in extra.chunks_exact_mut(channels).zip(means.chunks_exact(3)) {
-                let point = camera.point(mean);
+                let point = camera_from_base.point(vector(mean));
                 row[1 + 3 * number..4 + 3 * number].copy_from_slice(&point.as_vec3().to_array());
             }
         }
@@ -390,10 +390,10 @@ impl<'a> Batch<'a> {
             add(&mut colours, 1.0, &own.colour);
             let channels = 1 + 3 * sample.targets.len();
             for (number, &target) in sample.targets.iter().enumerate() {
-                let camera = Rigid::of(&self.observed.frames[target]);
+                let base_from_camera = self.observed.frames[target].base_from_camera;
                 let place = self.place(target);
                 for (row, extra) in own.extra.chunks_exact(channels).enumerate() {
-                    let gradient = camera.back(&extra[1 + 3 * number..4 + 3 * number]);
+                    let gradient = base_from_camera.rotation * vector(&extra[1 + 3 * number..4 + 3 * number]);
                     let to = match row.checked_sub(fg) {
                         None => &mut at[place].means[3 * row..3 * row + 3],
                         Some(row) => &mut background.means[3 * row..3 * row + 3],
@@ -482,29 +482,8 @@ impl<'a> Batch<'a> {
     }
 }
 
-/// From the base to a camera.
-struct Rigid {
-    rotation: DMat3,
-    translation: DVec3,
-}
-
-impl Rigid {
-    fn of(frame: &ObservedFrame) -> Self {
-        let camera_from_base = frame.base_from_camera.inverse();
-        Self {
-            rotation: camera_from_base.rotation,
-            translation: camera_from_base.translation,
-        }
-    }
-
-    fn point(&self, mean: &[f32]) -> DVec3 {
-        self.rotation * DVec3::new(mean[0].into(), mean[1].into(), mean[2].into()) + self.translation
-    }
-
-    /// A gradient in the camera's frame, in the base's.
-    fn back(&self, gradient: &[f32]) -> DVec3 {
-        self.rotation.transpose() * DVec3::new(gradient[0].into(), gradient[1].into(), gradient[2].into())
-    }
+fn vector(values: &[f32]) -> DVec3 {
+    DVec3::new(values[0].into(), values[1].into(), values[2].into())
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use rogs_optimise::{MotionGradient, Moved};
 use rogs_worker::StageResult;
 
 use crate::internal;
-use crate::scene::Scene;
+use crate::scene::{Scene, add};
 
 /// Gradient of a loss with respect to the foreground at a frame.
 pub(crate) struct At {
@@ -45,11 +45,10 @@ pub(crate) fn add_gradient(
         })
         .collect::<StageResult<_>>()?;
     let frames = scene.bases.frames;
-    let sum = |to: &mut [f32], from: &[f32]| to.iter_mut().zip(from).for_each(|(to, from)| *to += from);
     for (at, gradient) in at.iter().zip(&gradients) {
-        sum(&mut to.foreground.means, &gradient.means);
-        sum(&mut to.foreground.quats, &gradient.quats);
-        sum(&mut to.coefficients, &gradient.logits);
+        add(&mut to.foreground.means, 1.0, &gradient.means);
+        add(&mut to.foreground.quats, 1.0, &gradient.quats);
+        add(&mut to.coefficients, 1.0, &gradient.logits);
         for (base, own) in gradient.bases.iter().enumerate() {
             let row = base * frames + at.frame;
             for k in 0..6 {

@@ -386,6 +386,13 @@ enum Kind {
     Half,
 }
 
+/// Adds an array times a weight.
+pub(crate) fn add(to: &mut [f32], weight: f64, from: &[f32]) {
+    for (to, from) in to.iter_mut().zip(from) {
+        *to += weight as f32 * from;
+    }
+}
+
 /// The logistic function.
 pub(crate) fn logistic(value: f32) -> f32 {
     1.0 / (1.0 + libm::expf(-value))
@@ -475,7 +482,6 @@ mod tests {
             clip_id: "clip".parse().unwrap(),
             counters: Vec::new(),
             arrays: Vec::new(),
-            notes: Vec::new(),
         };
         state.store(&mut progress);
         assert_eq!(State::restore(&progress), Some(state));

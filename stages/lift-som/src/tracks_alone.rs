@@ -12,7 +12,7 @@ use crate::initial::Followed;
 use crate::internal;
 use crate::motion::{self, At};
 use crate::observed::Observed;
-use crate::scene::Scene;
+use crate::scene::{Scene, add};
 
 /// Learning rates of rotations, translations, coefficients and means; all fall to a tenth.
 const RATES: [f64; 4] = [1e-2, 3e-2, 1e-2, 1e-3];
@@ -258,11 +258,4 @@ fn mixture(shares: &[f32], bases: usize, gradient: &mut [f32]) -> f64 {
         }
     }
     value
-}
-
-/// Adds an array times a weight.
-pub(crate) fn add(to: &mut [f32], weight: f64, from: &[f32]) {
-    for (to, from) in to.iter_mut().zip(from) {
-        *to += weight as f32 * from;
-    }
 }

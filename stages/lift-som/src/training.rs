@@ -14,7 +14,7 @@ use crate::initial::{self, draw, purpose};
 use crate::losses::{Sample, loss};
 use crate::observed::Observed;
 use crate::params::LiftSomParams;
-use crate::scene::State;
+use crate::scene::{State, add};
 use crate::{sidecars, tracks_alone};
 
 /// Frames to which the tracks of a sample are followed.
@@ -122,7 +122,7 @@ impl Fitting<'_> {
         while state.updates < updates {
             let said = loss(self.observed, &state.scene, &self.batch(state.updates))?;
             for (to, from) in [(&mut state.screen, &said.screen), (&mut state.seen, &said.seen)] {
-                tracks_alone::add(to, 1.0, from);
+                add(to, 1.0, from);
             }
             state.update(&said.gradient)?;
             state.control()?;
@@ -180,18 +180,17 @@ impl Fitting<'_> {
             clip_id: self.clip.clone(),
             counters: vec![("cameras".to_owned(), self.fields.len() as u64)],
             arrays: Vec::new(),
-            notes: Vec::new(),
         };
         for (number, field) in self.fields.iter().enumerate() {
             progress.counters.push((format!("{number}.bases"), field.bases as u64));
             progress
                 .counters
                 .push((format!("{number}.frames"), field.frames as u64));
-            for (name, data) in FIELDS.iter().zip(arrays(field)) {
+            for (name, data) in FIELDS.iter().zip(field.arrays()) {
                 progress.arrays.push(NamedArray {
                     name: format!("{number}.{name}"),
                     shape: vec![data.len() as u32],
-                    data: data.clone(),
+                    data: data.to_vec(),
                 });
             }
         }
@@ -209,7 +208,7 @@ struct Done {
     state: Option<State>,
 }
 
-/// Names of the arrays of a camera that is done.
+/// Names of the arrays of a camera that is done, in the order of [`BasisGaussians::arrays`].
 const FIELDS: [&str; 8] = [
     "rotations",
     "translations",
@@ -220,19 +219,6 @@ const FIELDS: [&str; 8] = [
     "opacities",
     "colours",
 ];
-
-fn arrays(field: &BasisGaussians) -> [&Vec<f32>; 8] {
-    [
-        &field.rotations,
-        &field.translations,
-        &field.coefficients,
-        &field.means,
-        &field.quats,
-        &field.scales,
-        &field.opacities,
-        &field.colours,
-    ]
-}
 
 impl Done {
     /// `None` where it does not fit together.

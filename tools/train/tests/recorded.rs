@@ -159,7 +159,7 @@ fn what_cannot_be_trained_on_is_named_before_the_first_update() {
         }
     });
     assert!(
-        error.contains("camera `wrist`") && error.contains("nowhere a number"),
+        error.contains("camera `wrist`") && error.contains("has no valid value"),
         "{error}"
     );
     let error = refused(|records| {

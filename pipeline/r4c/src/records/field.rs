@@ -32,12 +32,8 @@ const QUERY_STATE: StreamSpec = floats("query_state", Unit::One, Frame::None, ""
 
 const fn floats(name: &'static str, unit: Unit, frame: Frame, fill: &'static str) -> StreamSpec {
     StreamSpec {
-        name,
-        dtype: Dtype::F32,
-        unit,
-        frame,
-        codec: Codec::PlanesZstd,
         fill,
+        ..StreamSpec::floats(name, unit, frame)
     }
 }
 

@@ -9,28 +9,17 @@ use serde::{Deserialize, Serialize};
 use crate::error::Result;
 use crate::reader::Reader;
 use crate::record::Record;
-use crate::stream::{Codec, Dtype, Frame, StreamSpec, Unit};
+use crate::stream::{Frame, StreamSpec, Unit};
 use crate::writer::Writer;
 
-const ROTATIONS: StreamSpec = floats("rotations", Unit::One, Frame::RobotBase);
-const TRANSLATIONS: StreamSpec = floats("translations_m", Unit::Metre, Frame::RobotBase);
-const COEFFICIENTS: StreamSpec = floats("coefficients", Unit::One, Frame::None);
-const MEANS: StreamSpec = floats("means_m", Unit::Metre, Frame::RobotBase);
-const QUATS: StreamSpec = floats("quats", Unit::One, Frame::RobotBase);
-const SCALES: StreamSpec = floats("log_scales", Unit::One, Frame::None);
-const OPACITIES: StreamSpec = floats("opacity_logits", Unit::One, Frame::None);
-const COLOURS: StreamSpec = floats("colour_logits", Unit::One, Frame::None);
-
-const fn floats(name: &'static str, unit: Unit, frame: Frame) -> StreamSpec {
-    StreamSpec {
-        name,
-        dtype: Dtype::F32,
-        unit,
-        frame,
-        codec: Codec::PlanesZstd,
-        fill: "",
-    }
-}
+const ROTATIONS: StreamSpec = StreamSpec::floats("rotations", Unit::One, Frame::RobotBase);
+const TRANSLATIONS: StreamSpec = StreamSpec::floats("translations_m", Unit::Metre, Frame::RobotBase);
+const COEFFICIENTS: StreamSpec = StreamSpec::floats("coefficients", Unit::One, Frame::None);
+const MEANS: StreamSpec = StreamSpec::floats("means_m", Unit::Metre, Frame::RobotBase);
+const QUATS: StreamSpec = StreamSpec::floats("quats", Unit::One, Frame::RobotBase);
+const SCALES: StreamSpec = StreamSpec::floats("log_scales", Unit::One, Frame::None);
+const OPACITIES: StreamSpec = StreamSpec::floats("opacity_logits", Unit::One, Frame::None);
+const COLOURS: StreamSpec = StreamSpec::floats("colour_logits", Unit::One, Frame::None);
 
 #[derive(Serialize, Deserialize)]
 struct Head {
@@ -48,7 +37,7 @@ struct CameraHead {
     background: u32,
 }
 
-/// The streams in the order of the file: what each is, and the shape of its elements.
+/// The streams in the order of [`BasisGaussians::arrays`]: what each is, and the shape of its elements.
 const STREAMS: [(StreamSpec, &[u32]); 8] = [
     (ROTATIONS, &[6]),
     (TRANSLATIONS, &[3]),
@@ -59,20 +48,6 @@ const STREAMS: [(StreamSpec, &[u32]); 8] = [
     (OPACITIES, &[]),
     (COLOURS, &[3]),
 ];
-
-/// The arrays of a camera in the order of [`STREAMS`].
-fn arrays(own: &BasisGaussians) -> [&Vec<f32>; 8] {
-    [
-        &own.rotations,
-        &own.translations,
-        &own.coefficients,
-        &own.means,
-        &own.quats,
-        &own.scales,
-        &own.opacities,
-        &own.colours,
-    ]
-}
 
 impl Record for MotionBasisField {
     const SCHEMA: SchemaId = SchemaId {
@@ -98,7 +73,7 @@ impl Record for MotionBasisField {
         writer.value("field", &head)?;
         for (index, (spec, shape)) in STREAMS.iter().enumerate() {
             let chunks = self.cameras.iter();
-            let chunks = chunks.map(|(camera, own)| ([camera.0, 0, 0, 0], arrays(own)[index].as_slice()));
+            let chunks = chunks.map(|(camera, own)| ([camera.0, 0, 0, 0], own.arrays()[index]));
             writer.stream(spec, shape, &chunks.collect::<Vec<_>>())?;
         }
         Ok(())

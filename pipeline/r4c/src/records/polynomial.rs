@@ -10,29 +10,18 @@ use serde::{Deserialize, Serialize};
 use crate::error::Result;
 use crate::reader::Reader;
 use crate::record::Record;
-use crate::stream::{Codec, Dtype, Frame, StreamSpec, Unit};
+use crate::stream::{Frame, StreamSpec, Unit};
 use crate::writer::Writer;
 
-const CENTRE: StreamSpec = floats("centre_m", Unit::Metre, Frame::RobotBase);
-const TIME: StreamSpec = floats("time_s", Unit::Second, Frame::None);
-const VARIANCE: StreamSpec = floats("variance_s2", Unit::One, Frame::None);
-const VELOCITY: StreamSpec = floats("velocity", Unit::One, Frame::RobotBase);
-const ANGULAR_VELOCITY: StreamSpec = floats("angular", Unit::One, Frame::None);
-const ROTATION: StreamSpec = floats("rotation", Unit::One, Frame::RobotBase);
-const SCALE: StreamSpec = floats("scale_m", Unit::Metre, Frame::None);
-const OPACITY: StreamSpec = floats("opacity", Unit::One, Frame::None);
-const RGB: StreamSpec = floats("rgb", Unit::One, Frame::None);
-
-const fn floats(name: &'static str, unit: Unit, frame: Frame) -> StreamSpec {
-    StreamSpec {
-        name,
-        dtype: Dtype::F32,
-        unit,
-        frame,
-        codec: Codec::PlanesZstd,
-        fill: "",
-    }
-}
+const CENTRE: StreamSpec = StreamSpec::floats("centre_m", Unit::Metre, Frame::RobotBase);
+const TIME: StreamSpec = StreamSpec::floats("time_s", Unit::Second, Frame::None);
+const VARIANCE: StreamSpec = StreamSpec::floats("variance_s2", Unit::One, Frame::None);
+const VELOCITY: StreamSpec = StreamSpec::floats("velocity", Unit::One, Frame::RobotBase);
+const ANGULAR_VELOCITY: StreamSpec = StreamSpec::floats("angular", Unit::One, Frame::None);
+const ROTATION: StreamSpec = StreamSpec::floats("rotation", Unit::One, Frame::RobotBase);
+const SCALE: StreamSpec = StreamSpec::floats("scale_m", Unit::Metre, Frame::None);
+const OPACITY: StreamSpec = StreamSpec::floats("opacity", Unit::One, Frame::None);
+const RGB: StreamSpec = StreamSpec::floats("rgb", Unit::One, Frame::None);
 
 #[derive(Serialize, Deserialize)]
 struct Head {

@@ -25,7 +25,6 @@ const ARRAYS: StreamSpec = StreamSpec {
 struct Head {
     clip_id: ClipId,
     counters: Vec<(String, u64)>,
-    notes: Vec<(String, String)>,
     arrays: Vec<ArrayHead>,
 }
 
@@ -41,7 +40,6 @@ impl Record for Progress {
         let head = Head {
             clip_id: self.clip_id.clone(),
             counters: self.counters.clone(),
-            notes: self.notes.clone(),
             arrays: arrays::heads(&self.arrays),
         };
         writer.value("progress", &head)?;
@@ -53,7 +51,6 @@ impl Record for Progress {
         let progress = Self {
             clip_id: head.clip_id,
             counters: head.counters,
-            notes: head.notes,
             arrays: arrays::read(reader, &ARRAYS, head.arrays)?,
         };
         progress.check().map_err(|what| reader.inconsistent(what))?;

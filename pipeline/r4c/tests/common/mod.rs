@@ -310,7 +310,6 @@ pub(crate) fn progress() -> Progress {
         clip_id: "clip".parse().unwrap(),
         counters: vec![("updates".into(), 300), ("camera".into(), 1)],
         arrays: vec![array("means", 12), array("none", 0), array("logits", 5)],
-        notes: vec![("wrist".into(), "a factor".into())],
     }
 }
 

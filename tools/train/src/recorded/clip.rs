@@ -169,7 +169,7 @@ impl Read {
             let counts = |depth: &&f32| **depth > nearest && **depth < farthest;
             if !depth.depth_m.iter().any(|depth| counts(&depth)) {
                 return Err(self.wrong(format!(
-                    "the reference depth of camera `{}` is nowhere a number between {nearest} and {farthest} m",
+                    "the reference depth of camera `{}` has no valid value: expected numbers between {nearest} and {farthest} m",
                     camera.id
                 )));
             }
