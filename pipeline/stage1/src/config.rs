@@ -62,6 +62,28 @@ pub struct Stage1Config {
     /// released one.
     #[serde(default)]
     pub sweep_depths: usize,
+    /// Nearest and farthest depth of the sweep, millimetres.
+    #[serde(default = "first_range", skip_serializing_if = "is_first_range")]
+    pub sweep_range_mm: [u32; 2],
+    /// Most frames of other times that the sweep compares a frame with ([`super::sweep`]); 0 for one that compares frames
+    /// of one moment only.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub sweep_other_times: usize,
+}
+
+/// The range of sweeps whose checkpoints name none.
+const FIRST_RANGE_MM: [u32; 2] = [100, 4000];
+
+const fn first_range() -> [u32; 2] {
+    FIRST_RANGE_MM
+}
+
+fn is_first_range(range: &[u32; 2]) -> bool {
+    *range == FIRST_RANGE_MM
+}
+
+const fn is_zero(count: &usize) -> bool {
+    *count == 0
 }
 
 impl Stage1Config {
@@ -85,6 +107,8 @@ impl Stage1Config {
             fk_hidden: 32,
             stem_channels: [0; 4],
             sweep_depths: 0,
+            sweep_range_mm: FIRST_RANGE_MM,
+            sweep_other_times: 0,
         }
     }
 
@@ -108,6 +132,8 @@ impl Stage1Config {
             fk_hidden: 16,
             stem_channels: [32, 48, 64, 96],
             sweep_depths: 0,
+            sweep_range_mm: FIRST_RANGE_MM,
+            sweep_other_times: 0,
         }
     }
 
@@ -121,6 +147,17 @@ impl Stage1Config {
         }
     }
 
+    /// `compact-sweep` whose sweep reaches through a room and compares frames of other times too.
+    #[must_use]
+    pub fn compact_wide() -> Self {
+        Self {
+            name: "compact-wide".into(),
+            sweep_range_mm: [100, 8000],
+            sweep_other_times: 4,
+            ..Self::compact_sweep()
+        }
+    }
+
     /// The configuration of that name.
     ///
     /// # Errors
@@ -130,8 +167,9 @@ impl Stage1Config {
             "full" => Ok(Self::full()),
             "compact" => Ok(Self::compact()),
             "compact-sweep" => Ok(Self::compact_sweep()),
+            "compact-wide" => Ok(Self::compact_wide()),
             _ => Err(Error::BadConfiguration(format!(
-                "there is no configuration `{name}`; known are `full`, `compact` and `compact-sweep`"
+                "there is no configuration `{name}`; known are `full`, `compact`, `compact-sweep` and `compact-wide`"
             ))),
         }
     }
@@ -164,6 +202,16 @@ impl Stage1Config {
         if depths > 1 << 10 || (depths > 0 && !self.has_stem()) {
             return fail(format!(
                 "a sweep of {depths} depths: it needs a stem, and at most 1024 of them"
+            ));
+        }
+        let [near, far] = self.sweep_range_mm;
+        if near == 0 || near >= far {
+            return fail(format!("a sweep from {near} to {far} mm: it goes from near to far"));
+        }
+        if self.sweep_other_times > 1 << 6 || (self.sweep_other_times > 0 && depths == 0) {
+            let frames = self.sweep_other_times;
+            return fail(format!(
+                "a sweep over {frames} frames of other times: it needs depths, and at most 64 of them"
             ));
         }
         if self.has_stem() && !self.patch.is_multiple_of(CELL) {

@@ -141,6 +141,18 @@ fn sweep(config: &Stage1Config) -> Vec<ParameterSpec> {
         );
     }
     list.layer("stem.sweep.depths", &[config.sweep_depths, inputs, 1, 1]);
+    if config.sweep_other_times > 0 {
+        let channels = sweep::OTHER_TIMES_CHANNELS;
+        let inputs = sweep::other_times_inputs(config);
+        list.layer("stem.sweep.others.conv1", &[channels, inputs, 3, 3]);
+        list.layer("stem.sweep.others.conv2", &[channels, channels, 3, 3]);
+        let outputs = sweep::DECODER_CHANNELS[0];
+        list.filled(
+            "stem.sweep.others.join",
+            &[outputs, channels, 1, 1],
+            Initial::Constant(0.0),
+        );
+    }
     let own = config.stem_channels[sweep::LEVEL];
     list.filled(
         "stem.sweep.join",

@@ -14,7 +14,7 @@ use crate::bundled::BUILTIN;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct LiftParams {
-    /// Sizes of seeded networks: `compact`, `compact-sweep` or `full`. Trained weights bring their own.
+    /// Sizes of seeded networks: `compact`, `compact-sweep`, `compact-wide` or `full`. Trained weights bring their own.
     pub configuration: String,
     /// Seed of seeded weights.
     pub seed: u64,

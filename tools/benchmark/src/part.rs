@@ -10,6 +10,8 @@ use crate::{cell, procedural, rooms};
 
 /// Folder of the manifests, below the checkout.
 pub(crate) const MANIFESTS: &str = "manifests/benchmark";
+/// Data of the rooms, from the checkout.
+const ROOMS: &str = "../shared/data/hololens_rooms";
 
 /// A part of the benchmark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -51,11 +53,11 @@ impl Part {
     /// What of others it needs and is not there.
     pub(crate) fn missing(self, checkout: &Path) -> Option<PathBuf> {
         let data = match self {
-            Self::Rooms => "hololens_rooms",
-            Self::Cell => "droid_ctrlworld/new_setup",
+            Self::Rooms => ROOMS,
+            Self::Cell => "../shared/data/droid_ctrlworld/new_setup",
             Self::Procedural154 | Self::Procedural280 => return None,
         };
-        let folder = checkout.join("../shared/data").join(data);
+        let folder = checkout.join(data);
         (!folder.is_dir()).then_some(folder)
     }
 
@@ -63,10 +65,7 @@ impl Part {
     pub(crate) fn make(self, checkout: &Path, program: &Path) -> anyhow::Result<()> {
         let runs = checkout.join("runs/benchmark");
         match self {
-            Self::Rooms => rooms::write(
-                &checkout.join("../shared/data/hololens_rooms"),
-                &runs.join("rooms-data"),
-            )?,
+            Self::Rooms => rooms::write(&checkout.join(ROOMS), &runs.join("rooms-data"))?,
             Self::Cell => {}
             Self::Procedural154 | Self::Procedural280 => {
                 let size = if self == Self::Procedural154 {
@@ -96,7 +95,7 @@ impl Part {
         let run = checkout.join("runs/benchmark").join(self.name());
         let clips = crate::run::read(&run)?;
         Ok(match self {
-            Self::Rooms => vec![rooms::table(&clips)],
+            Self::Rooms => vec![rooms::table(&clips, &rooms::free(&checkout.join(ROOMS))?)],
             Self::Cell => cell::tables(&clips)?,
             Self::Procedural154 | Self::Procedural280 => vec![procedural::table(&clips)],
         })

@@ -3,6 +3,7 @@
 //! The world is scaled by [`SCALE`], so that depths are those of a robot cell; the floor is the plane z = 0 of the base,
 //! which stands [`BEHIND_M`] behind the first camera and sees the way it looks. No robot is in view.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use anyhow::{Context as _, ensure};
@@ -33,6 +34,8 @@ const FRAMES: u32 = 17;
 const HELD_OUT: &str = "-two";
 /// The arm turned away from what the cameras see, joint values in radians.
 const TURNED_AWAY: [f64; 7] = [2.8, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785];
+/// Share of the recording's time, from its end, that training on `[[data.frames]]` leaves free (its default `held_out`).
+const FREE_SHARE: f64 = 1.0 / 3.0;
 /// Depths outside are not scored, metres of the episode.
 const RANGE_M: [f32; 2] = [0.1, 5.0];
 
@@ -260,13 +263,84 @@ fn correlation(pairs: &[[f64; 2]]) -> Option<f64> {
     (spread > 0.0).then(|| moment(&|p| (p[0] - a) * (p[1] - b)) / spread.sqrt())
 }
 
-/// Depth of the rooms: a row for the views that were given, one for a view that was held out.
-pub(crate) fn table(clips: &[ScoredClip]) -> Table {
-    let rows = [
-        ("views that were given", CameraRole::Source, false),
-        ("the first of them", CameraRole::Source, false),
-        ("a view held out, from two", CameraRole::Evaluation, true),
-    ];
+/// Ids of the triples whose frames all lie in the part of the recording that training leaves free.
+pub(crate) fn free(source: &Path) -> anyhow::Result<BTreeSet<String>> {
+    let frames: Frames = read(&source.join("frames.json"))?;
+    let triples: Triples = read(&source.join("triples.json"))?;
+    let first = (frames.frames.len() as f64 * (1.0 - FREE_SHARE)).floor() as usize;
+    let last: BTreeSet<&str> = frames.frames[first..].iter().map(|frame| frame.name.as_str()).collect();
+    let all_last = |triple: &Triple| {
+        let mut views = std::iter::once(&triple.reference).chain(&triple.views);
+        views.all(|name| last.contains(name.as_str()))
+    };
+    Ok(triples
+        .triples
+        .into_iter()
+        .filter(all_last)
+        .map(|triple| triple.id)
+        .collect())
+}
+
+/// A row of the table.
+struct Row {
+    name: &'static str,
+    role: CameraRole,
+    /// Whether the third view was held out.
+    held_out: bool,
+    /// Whether the first camera alone counts.
+    first: bool,
+    /// Whether moments alone count that training on the recording leaves free.
+    free: bool,
+}
+
+const ROWS: [Row; 5] = [
+    Row {
+        name: "views that were given",
+        role: CameraRole::Source,
+        held_out: false,
+        first: false,
+        free: false,
+    },
+    Row {
+        name: "the first of them",
+        role: CameraRole::Source,
+        held_out: false,
+        first: true,
+        free: false,
+    },
+    Row {
+        name: "a view held out, from two",
+        role: CameraRole::Evaluation,
+        held_out: true,
+        first: false,
+        free: false,
+    },
+    Row {
+        name: "last third of time: views that were given",
+        role: CameraRole::Source,
+        held_out: false,
+        first: false,
+        free: true,
+    },
+    Row {
+        name: "last third of time: a view held out, from two",
+        role: CameraRole::Evaluation,
+        held_out: true,
+        first: false,
+        free: true,
+    },
+];
+
+impl Row {
+    /// Whether a clip counts.
+    fn has(&self, id: &str, free: &BTreeSet<String>) -> bool {
+        let triple = id.strip_suffix(HELD_OUT);
+        triple.is_some() == self.held_out && (!self.free || free.contains(triple.unwrap_or(id)))
+    }
+}
+
+/// Depth of the rooms. `free`: as of [`free`].
+pub(crate) fn table(clips: &[ScoredClip], free: &BTreeSet<String>) -> Table {
     let mut table = Table::new(
         "views",
         &[
@@ -277,17 +351,15 @@ pub(crate) fn table(clips: &[ScoredClip]) -> Table {
             "estimate / truth",
         ],
     );
-    for (index, (name, role, held_out)) in rows.into_iter().enumerate() {
+    for row in &ROWS {
         let mut columns: [Vec<f64>; 5] = Default::default();
-        for clip in clips {
-            if clip.clip.clip_id.as_str().ends_with(HELD_OUT) != held_out {
-                continue;
-            }
+        for clip in clips.iter().filter(|clip| row.has(clip.clip.clip_id.as_str(), free)) {
             let judged: Vec<Judged> = clip
                 .of("stage1")
                 .into_iter()
                 .flat_map(|scores| clip.renders(scores))
-                .filter(|(camera, _)| clip.clip.cameras[camera.at()].role == role && (index != 1 || camera.at() == 0))
+                .filter(|(camera, _)| clip.clip.cameras[camera.at()].role == row.role)
+                .filter(|(camera, _)| !row.first || camera.at() == 0)
                 .filter_map(|(camera, view)| {
                     let (truth, range_m) = clip.reference_depth(camera, view.frame)?;
                     judge(&view.depth_m, truth, range_m)
@@ -305,7 +377,7 @@ pub(crate) fn table(clips: &[ScoredClip]) -> Table {
                 column.extend(value);
             }
         }
-        table.row(name, columns.map(|values| Cell::over_clips(&values, 3)));
+        table.row(row.name, columns.map(|values| Cell::over_clips(&values, 3)));
     }
     table
 }
@@ -396,5 +468,30 @@ mod tests {
         // |1 - 2| / 1, 0, |3 - 2| / 3.
         assert!((judged.constant - 4.0 / 9.0).abs() < 1e-7);
         assert_eq!(correlation(&[[1.0, 2.0], [1.0, 3.0]]), None);
+    }
+
+    #[test]
+    fn rows_of_the_last_third_count_its_moments_alone() {
+        let free = BTreeSet::from(["holo-2".to_owned()]);
+        let counted = |row: &Row| -> Vec<&str> {
+            let all = ["holo-1", "holo-1-two", "holo-2", "holo-2-two"];
+            all.into_iter().filter(|id| row.has(id, &free)).collect()
+        };
+        let expected: [&[&str]; 5] = [
+            &["holo-1", "holo-2"],
+            &["holo-1", "holo-2"],
+            &["holo-1-two", "holo-2-two"],
+            &["holo-2"],
+            &["holo-2-two"],
+        ];
+        assert_eq!(ROWS.each_ref().map(counted), expected);
+    }
+
+    #[needs(shared)]
+    #[test]
+    fn moments_of_the_last_third_are_known() {
+        let free = free(&shared!("data/hololens_rooms")).unwrap();
+        let expected = ["holo-00173", "holo-00193", "holo-00213", "holo-00235"];
+        assert!(free.iter().eq(expected.iter()), "{free:?}");
     }
 }

@@ -18,7 +18,7 @@ use crate::sources::{self, FramesSettings, RecordedSettings, RobotSettings};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Stage1Training {
-    /// Network configuration: `full`, `compact` or `compact-sweep`.
+    /// Network configuration: `full`, `compact`, `compact-sweep` or `compact-wide`.
     pub configuration: String,
     /// Checkpoint to start from; without one, weights are drawn from the seed.
     pub start: Option<PathBuf>,
@@ -403,7 +403,7 @@ impl Stage1Training {
             return wrong(
                 what,
                 weight.to_string(),
-                "0 for a configuration without a plane sweep; `compact-sweep` has one",
+                "0 for a configuration without a plane sweep; `compact-sweep` and `compact-wide` have one",
             );
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! The plane sweep of `compact-sweep`: at which depth a pixel's neighbourhood looks alike in the other cameras of the
+//! The plane sweep of `compact-sweep` and `compact-wide`: at which depth a pixel's neighbourhood looks alike in the other cameras of the
 //! same moment, and what depth follows from that and from the image.
 //!
 //! Cameras are calibrated, so that every depth of a pixel is one place in another image. Attention over all tokens would
@@ -6,6 +6,10 @@
 //! reads the similarities of all depths, the image and the rays. It knows nothing of the rest of Stage 1, so that it can be
 //! trained alone (`sweep` and `sweep_depth` in `rogs-train`): an update costs a small part of one of the whole network.
 //! What it finds is added to the second level of the stem.
+//!
+//! `compact-wide` also compares frames of other times from other places: what stands still gets a parallax from the path of
+//! a moving camera, in a clip of one camera too. The two comparisons have channels of their own, because what moves fits
+//! only one of them.
 
 mod plan;
 mod rays;
@@ -20,11 +24,12 @@ use super::config::{CELL, Stage1Config};
 use super::frames::{SourceFrames, normalised};
 use super::pyramid::{cells, two_layers};
 use crate::Result;
+use plan::Compared;
 use rogs_kernels::sweep::GROUPS as SWEEP_GROUPS;
 use rogs_tensors::ops::{self, Conv};
 use rogs_tensors::parameters::{Scope, from_host};
 
-pub use plan::place;
+pub use plan::SweepDepths;
 
 /// The level of the stem that learns what the sweep finds.
 pub(super) const LEVEL: usize = 1;
@@ -58,6 +63,14 @@ pub(super) const fn input_channels(config: &Stage1Config) -> usize {
 /// Channels of what is said to the stem.
 pub(super) const OUTPUT_CHANNELS: usize = DECODER_CHANNELS[0] + SUMMARIES;
 
+/// Channels of the network that reads the comparison with other times: those it makes, and those of its inputs.
+pub(super) const OTHER_TIMES_CHANNELS: usize = 32;
+/// Channels that are read of the comparison with other times: similarities and shares of frames.
+#[must_use]
+pub(super) const fn other_times_inputs(config: &Stage1Config) -> usize {
+    (SWEEP_GROUPS + 1) * config.sweep_depths
+}
+
 /// What a sweep finds. `D` depths, cells of [`CELL_PIXELS`] pixels.
 #[derive(Debug, Clone)]
 pub struct SweptDepth {
@@ -71,6 +84,8 @@ pub struct SweptDepth {
     hidden: Tensor<4>,
     /// 1 for a frame that is compared with another, else 0. `[S, 1, 1, 1]`
     accompanied: Tensor<4>,
+    /// Its depths.
+    pub scale: SweepDepths,
 }
 
 impl SweptDepth {
@@ -84,6 +99,7 @@ impl SweptDepth {
             log_depth_m: narrow(&self.log_depth_m),
             hidden: narrow(&self.hidden),
             accompanied: narrow(&self.accompanied),
+            scale: self.scale,
         }
     }
 }
@@ -101,7 +117,7 @@ impl<'a> Sweeping<'a> {
         Self { scope, config }
     }
 
-    /// Compares the frames; `None` without a sweep, or when no frame has another camera at its time that it may attend to.
+    /// Compares the frames; `None` without a sweep, or when no frame has another one to be compared with.
     ///
     /// # Errors
     /// When a tensor is missing or has another shape.
@@ -109,49 +125,70 @@ impl<'a> Sweeping<'a> {
         if self.config.sweep_depths == 0 {
             return Ok(None);
         }
+        let scale = SweepDepths::of(self.config);
         let seen = self.encode(normalised(frames.images.clone()))?;
         let [_, _, grid_rows, grid_columns] = seen[0].dims();
-        let plan = Arc::new(plan::plan(frames, self.config.sweep_depths, [grid_rows, grid_columns]));
-        if plan.partners.iter().all(Vec::is_empty) {
+        let plan = |compared| Arc::new(plan::plan(frames, &scale, compared, [grid_rows, grid_columns]));
+        let now = plan(Compared::SameMoment);
+        let others = plan(Compared::OtherTimes(self.config.sweep_other_times));
+        let partners = now.partners.iter().zip(&others.partners);
+        let accompanied: Vec<f32> = partners
+            .map(|(now, others)| f32::from(!now.is_empty() || !others.is_empty()))
+            .collect();
+        if accompanied.iter().all(|&company| company == 0.0) {
             return Ok(None);
         }
-        let (device, shape) = (seen[0].device(), plan.shape_of_visible());
+        let (device, shape) = (seen[0].device(), now.shape_of_visible());
         let [count, depths, rows, columns] = shape;
         let constant = |values: Vec<f32>, shape: [usize; 4]| from_host::<4>(values, shape, &device);
 
-        let similarity = ops::similarity(self.compared(&seen)?, plan.clone())?;
+        let compared = self.compared(&seen)?;
+        let similarity = ops::similarity(compared.clone(), now.clone())?;
         let cosine = similarity
             .clone()
             .reshape([count, SWEEP_GROUPS, depths, rows * columns])
             .sum_dim(1)
             .reshape(shape);
-        let visible = constant(plan.visible(), shape);
+        let visible = constant(now.visible(), shape);
         let unseen = visible.clone().lower_equal_elem(0.0).float();
         let matches = log_softmax(cosine.clone() * SHARPNESS - unseen * UNSEEN_PENALTY, 1);
 
-        let rays = rays::rays(frames, depths, [rows, columns]);
+        let rays = rays::rays(frames, &scale, [rows, columns]);
         let rays = constant(rays, [count, rays::NUMBERS, rows, columns]);
         let [_, image, _] = seen;
-        let hidden = self.decode(Tensor::cat(
-            vec![similarity * SIMILARITY_SCALE, visible, image, rays],
-            1,
-        ))?;
+        let beside = if others.partners.iter().all(Vec::is_empty) {
+            None
+        } else {
+            let visible = constant(others.visible(), shape);
+            let similarity = ops::similarity(compared, others)?;
+            Some(self.of_other_times(similarity, visible)?)
+        };
+        let inputs = Tensor::cat(vec![similarity * SIMILARITY_SCALE, visible, image, rays], 1);
+        let hidden = self.decode(inputs, beside)?;
         let logits =
             Conv::load(&self.scope.child("depths"), [depths, DECODER_CHANNELS[0]], 1, 1)?.forward(hidden.clone());
         let likely = log_softmax(logits + cosine * COSINE_WEIGHT, 1);
-        let logs = plan
+        let logs = now
             .depths_iu
             .iter()
             .map(|&depth| libm::logf(depth) - libm::logf(UNITS_PER_METRE as f32));
         let logs = constant(logs.collect(), [1, depths, 1, 1]);
-        let accompanied = plan.partners.iter().map(|partners| f32::from(!partners.is_empty()));
         Ok(Some(SweptDepth {
             matches,
             log_depth_m: (likely.clone().exp() * logs).sum_dim(1),
             depths: likely,
             hidden,
-            accompanied: constant(accompanied.collect(), [count, 1, 1, 1]),
+            accompanied: constant(accompanied, [count, 1, 1, 1]),
+            scale,
         }))
+    }
+
+    /// What the comparison with other times adds to the first level of the network that reads similarities; zero at first.
+    fn of_other_times(&self, similarity: Tensor<4>, visible: Tensor<4>) -> Result<Tensor<4>> {
+        let scope = self.scope.child("others");
+        let map = Tensor::cat(vec![similarity * SIMILARITY_SCALE, visible], 1);
+        let map = two_layers(&scope, map, OTHER_TIMES_CHANNELS)?;
+        Ok(Conv::load(&scope.child("join"), [DECODER_CHANNELS[0], OTHER_TIMES_CHANNELS], 1, 1)?.forward(map))
     }
 
     /// Features of a level of the stem with what was found; a frame without company keeps its own. `[S, c, h, w]`
@@ -192,8 +229,9 @@ impl<'a> Sweeping<'a> {
         Ok(map / length)
     }
 
-    /// Down to a quarter of the cells' resolution and up again. `[S, c, h, w] -> [S, DECODER_CHANNELS[0], h, w]`
-    fn decode(&self, map: Tensor<4>) -> Result<Tensor<4>> {
+    /// Down to a quarter of the cells' resolution and up again; `beside` is added on the first level.
+    /// `[S, c, h, w] -> [S, DECODER_CHANNELS[0], h, w]`
+    fn decode(&self, map: Tensor<4>, beside: Option<Tensor<4>>) -> Result<Tensor<4>> {
         let layers = |name: &str, level: usize, map: Tensor<4>| {
             two_layers(
                 &self.scope.child(format_args!("{name}.{level}")),
@@ -210,6 +248,10 @@ impl<'a> Sweeping<'a> {
             layers("up", level, Tensor::cat(vec![resized_like(map, &beside), beside], 1))
         };
         let first = layers("down", 0, map)?;
+        let first = match beside {
+            Some(beside) => first + beside,
+            None => first,
+        };
         let second = down(1, &first)?;
         let third = down(2, &second)?;
         up(0, up(1, third, second)?, first)

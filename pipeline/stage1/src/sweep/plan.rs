@@ -1,46 +1,87 @@
-//! Which frames a sweep compares, at which points.
+//! Which frames a sweep compares, at which depths and points.
 
 use glam::DVec3;
 use rogs_schemas::units::UNITS_PER_METRE;
 
-use super::super::frames::Attention;
-use super::super::frames::SourceFrames;
+use super::super::config::Stage1Config;
+use super::super::frames::{Attention, SourceFrames};
 use super::super::geometry::NetworkCamera;
 use super::CELL_PIXELS;
 use rogs_kernels::sweep::FINER as SWEEP_FINER;
 use rogs_kernels::{Partner, Sweep};
 
-/// First and last depth, metres; the others lie between them at equal ratios.
-const DEPTHS_M: [f64; 2] = [0.1, 4.0];
+/// Frames of other times are compared where the camera has moved at least this far, metres: nearer ones show the same.
+const LEAST_BASELINE_M: f64 = 0.03;
 
-/// The place of a depth among `depths` of a sweep: its index where it is one of them; below 0 or above the last index
-/// outside them.
-#[must_use]
-pub fn place(depth_iu: f64, depths: usize) -> f64 {
-    let [near, far] = DEPTHS_M.map(|depth| depth * UNITS_PER_METRE);
-    libm::log(depth_iu / near) / libm::log(far / near) * depths.saturating_sub(1) as f64
+/// The depths of a sweep: they lie at equal ratios.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SweepDepths {
+    count: usize,
+    /// First and last one, internal units.
+    range_iu: [f64; 2],
+}
+
+impl SweepDepths {
+    /// The depths of a configuration.
+    #[must_use]
+    pub fn of(config: &Stage1Config) -> Self {
+        Self {
+            count: config.sweep_depths,
+            range_iu: config
+                .sweep_range_mm
+                .map(|depth_mm| f64::from(depth_mm) * 1e-3 * UNITS_PER_METRE),
+        }
+    }
+
+    /// The place of a depth among them: its index where it is one of them; below 0 or above the last index outside them.
+    #[must_use]
+    pub fn place(&self, depth_iu: f64) -> f64 {
+        let [near, far] = self.range_iu;
+        libm::log(depth_iu / near) / libm::log(far / near) * self.last() as f64
+    }
+
+    /// The place of a depth as a share of the way from the first to the last one.
+    pub(super) fn share(&self, depth_iu: f64) -> f64 {
+        self.place(depth_iu) / self.last().max(1) as f64
+    }
+
+    /// All of them, internal units. `[D]`
+    pub(super) fn all_iu(&self) -> Vec<f32> {
+        let [near, far] = self.range_iu;
+        let depth = |index: usize| {
+            let share = index as f64 / self.last().max(1) as f64;
+            (near * libm::pow(far / near, share)) as f32
+        };
+        (0..self.count).map(depth).collect()
+    }
+
+    const fn last(&self) -> usize {
+        self.count.saturating_sub(1)
+    }
+}
+
+/// The frames of a clip that are compared with each other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Compared {
+    /// Those of other cameras at the same moment.
+    SameMoment,
+    /// Those of other times, from other places, at most so many.
+    OtherTimes(usize),
 }
 
 /// Which frames are compared at which depths. `grid`: rows and columns of the map of features.
-pub(super) fn plan(frames: &SourceFrames, depths: usize, grid: [usize; 2]) -> Sweep {
+pub(super) fn plan(frames: &SourceFrames, depths: &SweepDepths, compared: Compared, grid: [usize; 2]) -> Sweep {
     let [_, _, height, width] = frames.images.dims();
     let image = [height, width].map(|side| side as f64 / CELL_PIXELS as f64);
-    let [near, far] = DEPTHS_M.map(|depth| depth * UNITS_PER_METRE);
-    let depth = |index: usize| {
-        let share = index as f64 / depths.saturating_sub(1).max(1) as f64;
-        (near * libm::pow(far / near, share)) as f32
-    };
     let cameras = &frames.cameras;
     let partners = (0..cameras.len())
         .map(|frame| {
-            let others = (0..cameras.len()).filter(|&other| {
-                let attends = match &frames.attention {
-                    Attention::Joint => true,
-                    Attention::WithinCamera(of) => of.get(frame) == of.get(other),
-                };
-                other != frame && attends && frames.times.get(frame) == frames.times.get(other)
-            });
+            let others = match compared {
+                Compared::SameMoment => of_the_same_moment(frames, frame),
+                Compared::OtherTimes(most) => of_other_times(frames, frame, most),
+            };
             others
+                .into_iter()
                 .map(|other| partner(&cameras[frame], other, &cameras[other], image))
                 .collect()
         })
@@ -49,9 +90,52 @@ pub(super) fn plan(frames: &SourceFrames, depths: usize, grid: [usize; 2]) -> Sw
         size: [height, width].map(|side| side.div_ceil(CELL_PIXELS)),
         grid,
         image: image.map(|side| side as f32 * SWEEP_FINER as f32),
-        depths_iu: (0..depths).map(depth).collect(),
+        depths_iu: depths.all_iu(),
         partners,
     }
+}
+
+/// The frames that a frame may attend to, itself left out.
+fn attended(frames: &SourceFrames, frame: usize) -> impl Iterator<Item = usize> + '_ {
+    (0..frames.cameras.len()).filter(move |&other| {
+        let attends = match &frames.attention {
+            Attention::Joint => true,
+            Attention::WithinCamera(of) => of.get(frame) == of.get(other),
+        };
+        other != frame && attends
+    })
+}
+
+/// The other frames of a frame's time.
+fn of_the_same_moment(frames: &SourceFrames, frame: usize) -> Vec<usize> {
+    attended(frames, frame)
+        .filter(|&other| frames.times.get(frame) == frames.times.get(other))
+        .collect()
+}
+
+/// The frames of other times whose cameras stand elsewhere than this one, than those of its own moment and than each other:
+/// a camera that stands still says no more of what stands still. The nearest in time come first.
+fn of_other_times(frames: &SourceFrames, frame: usize, most: usize) -> Vec<usize> {
+    let centre = |frame: usize| frames.cameras[frame].world_from_camera_iu.translation;
+    let time = |frame: usize| frames.times.get(frame).copied().unwrap_or_default();
+    let mut known: Vec<DVec3> = of_the_same_moment(frames, frame).into_iter().map(centre).collect();
+    known.push(centre(frame));
+    let mut candidates: Vec<usize> = attended(frames, frame)
+        .filter(|&other| time(other) != time(frame))
+        .collect();
+    candidates.sort_by(|&a, &b| {
+        let away = |other: usize| (time(other) - time(frame)).abs();
+        away(a).total_cmp(&away(b)).then(a.cmp(&b))
+    });
+    let mut chosen = Vec::new();
+    for other in candidates {
+        let elsewhere = |from: &DVec3| from.distance(centre(other)) >= LEAST_BASELINE_M * UNITS_PER_METRE;
+        if chosen.len() < most && known.iter().all(elsewhere) {
+            known.push(centre(other));
+            chosen.push(other);
+        }
+    }
+    chosen
 }
 
 /// How the cells of one camera are seen on the grid of another. With K of cells (or of the grid) to rays of depth 1 and the
@@ -122,8 +206,15 @@ pub(super) mod tests {
         }
     }
 
+    fn depths(count: usize) -> SweepDepths {
+        SweepDepths::of(&Stage1Config {
+            sweep_depths: count,
+            ..Stage1Config::compact_sweep()
+        })
+    }
+
     fn plan_of(attention: Attention) -> Sweep {
-        plan(&frames(attention), 5, GRID)
+        plan(&frames(attention), &depths(5), Compared::SameMoment, GRID)
     }
 
     #[test]
@@ -137,12 +228,41 @@ pub(super) mod tests {
     }
 
     #[test]
+    fn frames_of_other_times_are_compared_where_the_camera_has_moved() {
+        // A wrist camera that moves by 10 cm, 1 cm and 20 cm, and a fixed one, at four times.
+        let wrist = [0.0, 0.35, 0.385, 1.085].map(|x| camera(0.0, 0.0, [x, 0.0, 0.0]));
+        let frames = |attention| SourceFrames {
+            images: Tensor::zeros([8, 3, 16, 32], &Device::flex()),
+            cameras: wrist
+                .into_iter()
+                .chain([camera(0.4, 0.0, [3.0, 0.0, 0.0]); 4])
+                .collect(),
+            recon_from_base_iu: Pose::IDENTITY,
+            times: [0.0, 0.1, 0.2, 0.3].repeat(2),
+            attention,
+        };
+        let partners = |attention, most| -> Vec<Vec<usize>> {
+            let frames = frames(attention);
+            (0..8).map(|frame| of_other_times(&frames, frame, most)).collect()
+        };
+        let all = partners(Attention::Joint, 4);
+        // Frames 1 and 2 show the same; the fixed camera says at other times what it says at this one.
+        assert_eq!(all[..4], [vec![1, 3], vec![0, 3], vec![3, 0], vec![2, 0]]);
+        assert_eq!(all[4..], [vec![1, 3], vec![0, 3], vec![3, 0], vec![2, 0]]);
+        assert_eq!(partners(Attention::Joint, 1)[3], [2]);
+        let within = partners(Attention::WithinCamera(vec![0, 0, 0, 0, 1, 1, 1, 1]), 4);
+        assert_eq!(within[..4], all[..4]);
+        assert!(within[4..].iter().all(Vec::is_empty));
+    }
+
+    #[test]
     fn depths_go_from_the_first_to_the_last_at_equal_ratios() {
-        let depths = plan_of(Attention::Joint).depths_iu;
-        assert!((f64::from(depths[0]) - 0.35).abs() < 1e-6 && (f64::from(depths[4]) - 14.0).abs() < 1e-5);
-        assert!((f64::from(depths[2]) - libm::sqrt(0.35 * 14.0)).abs() < 1e-5);
-        for (index, &depth) in depths.iter().enumerate() {
-            assert!((place(f64::from(depth), 5) - index as f64).abs() < 1e-6);
+        let all = plan_of(Attention::Joint).depths_iu;
+        assert!((f64::from(all[0]) - 0.35).abs() < 1e-6 && (f64::from(all[4]) - 14.0).abs() < 1e-5);
+        assert!((f64::from(all[2]) - libm::sqrt(0.35 * 14.0)).abs() < 1e-5);
+        for (index, &depth) in all.iter().enumerate() {
+            assert!((depths(5).place(f64::from(depth)) - index as f64).abs() < 1e-6);
+            assert!((depths(5).share(f64::from(depth)) - index as f64 / 4.0).abs() < 1e-6);
         }
     }
 
@@ -190,7 +310,7 @@ pub(super) mod tests {
             images: Tensor::zeros([2, 3, 64, 96], &Device::flex()),
             attention: Attention::Joint,
         };
-        let plan = plan(&frames, 9, [32, 48]);
+        let plan = plan(&frames, &depths(9), Compared::SameMoment, [32, 48]);
         assert_eq!(plan.size, [16, 24]);
         let right = 4;
         let depth = plan.depths_iu[right];

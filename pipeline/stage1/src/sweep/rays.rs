@@ -4,7 +4,7 @@
 use rogs_schemas::units::UNITS_PER_METRE;
 
 use super::super::frames::SourceFrames;
-use super::{CELL_PIXELS, place};
+use super::{CELL_PIXELS, SweepDepths};
 
 /// Heights above the base, metres: a ray is told at which depth it meets each of them.
 const HEIGHTS_M: [f64; 2] = [0.0, -0.75];
@@ -16,7 +16,7 @@ const PLACES: [f64; 2] = [-0.5, 1.5];
 
 /// Of the ray through the centre of each cell, in the frame of the base: moment and direction, and the places of
 /// `HEIGHTS_M` among the depths of the sweep, as shares. `[S, NUMBERS, h, w]`
-pub(super) fn rays(frames: &SourceFrames, depths: usize, [rows, columns]: [usize; 2]) -> Vec<f32> {
+pub(super) fn rays(frames: &SourceFrames, depths: &SweepDepths, [rows, columns]: [usize; 2]) -> Vec<f32> {
     let [_, _, height, width] = frames.images.dims();
     let cells = rows * columns;
     let mut map = vec![0.0f32; frames.cameras.len() * NUMBERS * cells];
@@ -29,7 +29,7 @@ pub(super) fn rays(frames: &SourceFrames, depths: usize, [rows, columns]: [usize
             let met = HEIGHTS_M.map(|height_m| {
                 let depth = (height_m * UNITS_PER_METRE - above) / climb;
                 if depth > 0.0 && depth.is_finite() {
-                    (place(depth, depths) / depths.saturating_sub(1).max(1) as f64).clamp(PLACES[0], PLACES[1])
+                    depths.share(depth).clamp(PLACES[0], PLACES[1])
                 } else {
                     PLACES[1]
                 }
@@ -48,11 +48,14 @@ mod tests {
     use glam::{DMat3, DVec3};
     use rogs_geometry::Pose;
 
+    use super::super::super::config::Stage1Config;
     use super::super::super::frames::Attention;
     use super::super::super::geometry::NetworkCamera;
     use super::*;
 
-    const DEPTHS: usize = 64;
+    fn depths() -> SweepDepths {
+        SweepDepths::of(&Stage1Config::compact_sweep())
+    }
 
     /// A camera 1 m above the base that looks straight down, in a reconstruction frame that is the camera's own.
     fn looking_down() -> SourceFrames {
@@ -73,8 +76,8 @@ mod tests {
 
     #[test]
     fn heights_are_met_at_their_depth_and_rays_pass_through_the_camera() {
-        let map = rays(&looking_down(), DEPTHS, [4, 8]);
-        let share = |depth_m: f64| place(depth_m * UNITS_PER_METRE, DEPTHS) / (DEPTHS - 1) as f64;
+        let map = rays(&looking_down(), &depths(), [4, 8]);
+        let share = |depth_m: f64| libm::log(depth_m / 0.1) / libm::log(40.0);
         // The camera in the frame of the base.
         let origin = [-0.3, 0.2, UNITS_PER_METRE];
         for cell in 0..32 {
@@ -94,7 +97,7 @@ mod tests {
     fn heights_behind_the_camera_are_never_met() {
         let mut frames = looking_down();
         frames.recon_from_base_iu.translation.z = -UNITS_PER_METRE;
-        let map = rays(&frames, DEPTHS, [4, 8]);
+        let map = rays(&frames, &depths(), [4, 8]);
         assert!(map[6 * 32..7 * 32].iter().all(|&place| place == 1.5));
     }
 }

@@ -100,6 +100,8 @@ pub fn tiny_config() -> Stage1Config {
         fk_hidden: 32,
         stem_channels: [0; 4],
         sweep_depths: 0,
+        sweep_range_mm: [100, 4000],
+        sweep_other_times: 0,
     }
 }
 

@@ -6,7 +6,7 @@ use rogs_field::MotionGates;
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 use rogs_schemas::units::UNITS_PER_METRE;
 use rogs_stage1::decode::{DEPTH_RANGE_IU, activate_attributes, gate_attributes};
-use rogs_stage1::sweep::SweptDepth;
+use rogs_stage1::sweep::{SweepDepths, SweptDepth};
 use rogs_stage1::{Attention, Encoded, HeadKind, SourceFrames, Stage1};
 use rogs_tensors::device;
 use rogs_tensors::parameters::from_host;
@@ -48,6 +48,8 @@ pub struct SweepTerms {
     pub depths: Tensor<4>,
     /// As [`SweptDepth::log_depth_m`]. `[S, 1, h, w]`
     pub log_depth_m: Tensor<4>,
+    /// The depths.
+    pub scale: SweepDepths,
 }
 
 impl Lifted {
@@ -89,6 +91,7 @@ impl SweepTerms {
             matches: device_copies.copy(&self.matches)?,
             depths: device_copies.copy(&self.depths)?,
             log_depth_m: device_copies.copy(&self.log_depth_m)?,
+            scale: self.scale,
         })
     }
 }
@@ -99,6 +102,7 @@ impl From<&SweptDepth> for SweepTerms {
             matches: found.matches.clone(),
             depths: found.depths.clone(),
             log_depth_m: found.log_depth_m.clone(),
+            scale: found.scale,
         }
     }
 }

@@ -3,7 +3,7 @@
 
 use burn::tensor::Tensor;
 use rogs_schemas::units::UNITS_PER_METRE;
-use rogs_stage1::sweep::{CELL_PIXELS, place};
+use rogs_stage1::sweep::{CELL_PIXELS, SweepDepths};
 use rogs_tensors::parameters::{from_host, to_host};
 
 use super::forward::SweepTerms;
@@ -19,7 +19,7 @@ const SAME_SURFACE: f64 = 0.05;
 pub(super) fn add_terms(sum: &mut Sum, sample: &Sample, found: &SweepTerms, weights: &LossWeights) -> Result<()> {
     let (shape, device) = (found.depths.dims(), found.depths.device());
     let [views, _, rows, columns] = shape;
-    let target = Target::of(sample, shape);
+    let target = Target::of(sample, &found.scale, shape);
     let map = |values: Vec<f32>| from_host::<4>(values, [views, 1, rows, columns], &device);
     let (known, seen) = (map(target.known), map(target.seen));
     if weights.sweep > 0.0 {
@@ -41,7 +41,7 @@ pub(super) fn add_terms(sum: &mut Sum, sample: &Sample, found: &SweepTerms, weig
 
 /// Absolute errors of the sweep's expected depth as shares of the reference, of all cells that have one.
 pub(super) fn relative_errors(sample: &Sample, found: &SweepTerms) -> Result<Vec<f64>> {
-    let target = Target::of(sample, found.depths.dims());
+    let target = Target::of(sample, &found.scale, found.depths.dims());
     let expected = to_host(found.log_depth_m.clone())?;
     let cells = expected.iter().zip(&target.log_depth_m).zip(&target.known);
     let known = cells.filter(|(_, known)| **known > 0.0);
@@ -64,7 +64,7 @@ struct Target {
 
 impl Target {
     /// The references of a clip. `shape`: `[S, D, h, w]`
-    fn of(sample: &Sample, shape: [usize; 4]) -> Self {
+    fn of(sample: &Sample, scale: &SweepDepths, shape: [usize; 4]) -> Self {
         let [views, depths, rows, columns] = shape;
         let ([height, width], cells) = (sample.size, rows * columns);
         let mut target = Self {
@@ -82,7 +82,7 @@ impl Target {
                 }
                 let pixel = (view * height + row) * width + column;
                 let depth_iu = f64::from(sample.depth_iu[pixel]);
-                let place = place(depth_iu, depths);
+                let place = scale.place(depth_iu);
                 let low = libm::floor(place);
                 if sample.valid[pixel] <= 0.0 || low < 0.0 || low + 1.0 >= depths as f64 {
                     continue;
@@ -125,12 +125,19 @@ mod tests {
     use glam::{DMat3, DVec3};
     use rogs_geometry::Pose;
     use rogs_schemas::CameraIndex;
-    use rogs_stage1::NetworkCamera;
+    use rogs_stage1::{NetworkCamera, Stage1Config};
 
     use super::*;
 
     const SIZE: [usize; 2] = [8, 16];
     const DEPTHS: usize = 48;
+
+    fn scale() -> SweepDepths {
+        SweepDepths::of(&Stage1Config {
+            sweep_depths: DEPTHS,
+            ..Stage1Config::compact_sweep()
+        })
+    }
 
     /// Cameras side by side that look at a wall; the third looks away, the fourth is the first at another time.
     fn before_a_wall(distance_iu: f32) -> Sample {
@@ -172,7 +179,7 @@ mod tests {
 
     #[test]
     fn cells_have_their_depth_as_target_and_are_seen_where_another_camera_looks() {
-        let target = Target::of(&before_a_wall(2.0), [4, DEPTHS, 2, 4]);
+        let target = Target::of(&before_a_wall(2.0), &scale(), [4, DEPTHS, 2, 4]);
         // At this distance a point lies 0.5 * 1 / 2 of the width further left in the second image: one cell.
         let seen: Vec<Vec<usize>> = (0..4)
             .map(|view| (0..8).filter(|&cell| target.seen[view * 8 + cell] > 0.0).collect())
@@ -190,7 +197,7 @@ mod tests {
                     .enumerate()
                     .map(|(depth, share)| depth as f64 * share)
                     .sum();
-                assert!((mean - place(2.0, DEPTHS)).abs() < 1e-5);
+                assert!((mean - scale().place(2.0)).abs() < 1e-5);
                 assert!((shares.iter().sum::<f64>() - 1.0).abs() < 1e-6);
                 assert_eq!(shares.iter().filter(|&&share| share > 0.0).count(), 2);
             }
@@ -203,10 +210,10 @@ mod tests {
         let mut sample = before_a_wall(2.0);
         // Something stands in front of the second camera.
         sample.depth_iu[pixels..2 * pixels].fill(1.0);
-        let hidden = Target::of(&sample, [4, DEPTHS, 2, 4]);
+        let hidden = Target::of(&sample, &scale(), [4, DEPTHS, 2, 4]);
         assert!(hidden.seen[..8].iter().all(|&seen| seen == 0.0));
         assert!(hidden.known.iter().all(|&known| known == 1.0));
-        let far = Target::of(&before_a_wall(20.0), [4, DEPTHS, 2, 4]);
+        let far = Target::of(&before_a_wall(20.0), &scale(), [4, DEPTHS, 2, 4]);
         let numbers = [&far.depths, &far.known, &far.seen].into_iter().flatten();
         assert!(numbers.into_iter().all(|&number| number == 0.0));
     }

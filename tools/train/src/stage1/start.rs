@@ -54,7 +54,8 @@ pub fn start(settings: &Stage1Training, device: &Device) -> Result<Start> {
     })
 }
 
-/// Gives a network of a checkpoint the stem and the sweep of its configuration where it has none; they say nothing yet.
+/// Gives a network of a checkpoint the stem, the sweep and the comparison with other times of its configuration where it has
+/// none; they say nothing yet. A sweep takes the range of depths of its configuration.
 fn extend(network: &mut Stage1, config: &Stage1Config, seed: u64) -> Result<()> {
     let mut extended = Stage1Config {
         name: config.name.clone(),
@@ -66,6 +67,10 @@ fn extend(network: &mut Stage1, config: &Stage1Config, seed: u64) -> Result<()> 
     if extended.sweep_depths == 0 {
         extended.sweep_depths = config.sweep_depths;
     }
+    if extended.sweep_other_times == 0 {
+        extended.sweep_other_times = config.sweep_other_times;
+    }
+    extended.sweep_range_mm = config.sweep_range_mm;
     if extended != *config {
         return Ok(());
     }
