@@ -7,9 +7,11 @@ mod common {
 }
 
 use common::{random, room};
-use rogs_splat::{Colour, Gaussians, Mode, RasterCamera, RasterConfig, RenderGradient, backward, render_with_tape};
+use rogs_splat::{
+    Colour, Gaussians, Mode, RasterCamera, RasterConfig, RenderGradient, backward, backward_with_screen, render_with_tape,
+};
 
-/// All inputs of a render as one vector of float64, in this order.
+/// All inputs of a render as one vector of float64, in this order; last, what is added to the centres in the image.
 struct Layout {
     n: usize,
     degree: Option<usize>,
@@ -17,7 +19,7 @@ struct Layout {
 }
 
 impl Layout {
-    fn parts(&self) -> [(&'static str, usize); 9] {
+    fn parts(&self) -> [(&'static str, usize); 10] {
         let colour = self.degree.map_or(3, |d| 3 * (d + 1) * (d + 1));
         [
             ("means", 3 * self.n),
@@ -29,6 +31,7 @@ impl Layout {
             ("camera rotation", 9),
             ("camera translation", 3),
             ("background", 3),
+            ("centres in the image", 2 * self.n),
         ]
     }
 
@@ -50,7 +53,7 @@ struct Weights([Vec<f32>; 6]);
 
 fn loss(layout: &Layout, all: &[f64], camera: &RasterCamera, config: &RasterConfig, weights: &Weights) -> f64 {
     let parts = layout.split(all);
-    let [means, quats, scales, opacities, colours, extra, r, t, background] = parts[..] else {
+    let [means, quats, scales, opacities, colours, extra, r, t, background, shift] = parts[..] else {
         panic!()
     };
     let (w, h) = (f64::from(camera.width), f64::from(camera.height));
@@ -145,7 +148,10 @@ fn loss(layout: &Layout, all: &[f64], camera: &RasterCamera, config: &RasterConf
             }
         };
         splats.push(Splat {
-            m: [fx * p[0] / p[2] + cx, fy * p[1] / p[2] + cy],
+            m: [
+                fx * p[0] / p[2] + cx + shift[2 * i],
+                fy * p[1] / p[2] + cy + shift[2 * i + 1],
+            ],
             conic: [(c0 + eps) / det, -b0 / det, (a0 + eps) / det],
             opacity,
             z: p[2],
@@ -260,7 +266,11 @@ fn check(seed: u64, degree: Option<usize>, extra: usize, mode: Mode) {
     };
     let (image, tape) = render_with_tape(&scene, &camera, &config).unwrap();
     assert!(image.counts.visible >= 6, "too little to see");
-    let ours = backward(&scene, &config, &tape, &gradient).unwrap();
+    let ours = backward_with_screen(&scene, &config, &tape, &gradient).unwrap();
+    let mut without = backward(&scene, &config, &tape, &gradient).unwrap();
+    assert!(without.screen.is_empty(), "nobody asked");
+    without.screen.clone_from(&ours.screen);
+    assert_eq!(without, ours, "the other gradients are the same bits");
 
     let layout = Layout { n, degree, extra };
     let wide = |values: &[f32]| values.iter().map(|&v| f64::from(v)).collect::<Vec<_>>();
@@ -279,6 +289,7 @@ fn check(seed: u64, degree: Option<usize>, extra: usize, mode: Mode) {
         camera.rotation.to_vec(),
         camera.translation.to_vec(),
         config.background.map(f64::from).to_vec(),
+        vec![0.0; 2 * n],
     ];
     let analytic = [
         wide(&ours.means),
@@ -290,6 +301,7 @@ fn check(seed: u64, degree: Option<usize>, extra: usize, mode: Mode) {
         ours.camera_rotation.to_vec(),
         ours.camera_translation.to_vec(),
         ours.background.to_vec(),
+        wide(&ours.screen),
     ];
     let mut all: Vec<f64> = inputs.concat();
     let mut at = 0;
