@@ -160,7 +160,7 @@ fn refine_on_hand(
     given: &Look,
     prior: &Prior,
 ) -> Result<Refined> {
-    let pairs = Pairs::new(takes, factor(&takes[0].filmed().lens, FINEST))?;
+    let pairs = Pairs::new(takes, factor(&takes[0].filmed().lens, FINEST), prior.turn)?;
     if pairs.len() < FEWEST_MATCHES && 4 * given.visible < given.frames {
         return Err(Error::CannotTell {
             why: Why::HardlyVisible,

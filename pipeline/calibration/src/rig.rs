@@ -19,6 +19,14 @@ pub fn droid_hand_eye() -> Pose<Link, Camera> {
     Pose::new(rotation, DVec3::new(-0.0768, 0.0317, 0.0178))
 }
 
+/// The same camera mounted upside down: a ZED Mini turned by half about the middle between its two eyes, 62.92 mm
+/// apart, of which the left one is the camera.
+#[must_use]
+pub fn upside_down(link_from_camera: &Pose<Link, Camera>) -> Pose<Link, Camera> {
+    let half = DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0));
+    *link_from_camera * Pose::new(half, DVec3::new(0.062_92, 0.0, 0.0))
+}
+
 /// A lens of square pixels with this horizontal field of view, degrees, its axis through the middle of the image.
 #[must_use]
 pub fn lens_of_view(degrees: f64, width: u32, height: u32) -> Pinhole {
@@ -36,6 +44,20 @@ mod tests {
         let off = found.rotation - expected.rotation;
         assert!(off.to_cols_array().iter().all(|entry| entry.abs() < 1e-12), "{found:?}");
         assert_eq!(found.translation, expected.translation);
+    }
+
+    #[test]
+    fn upside_down_twice_is_as_before() {
+        let (pose, turned) = (droid_hand_eye(), upside_down(&droid_hand_eye()));
+        let axis = |pose: &Pose<Link, Camera>| pose.rotation.z_axis;
+        assert_eq!(
+            (axis(&turned), turned.rotation.x_axis),
+            (axis(&pose), -pose.rotation.x_axis)
+        );
+        // The left eye is where the right one was.
+        assert!((turned.translation.y - (pose.translation.y - 0.062_92)).abs() < 1e-12);
+        let off = pose.inverse() * upside_down(&turned);
+        assert!(off.translation.length() < 1e-12 && off.quaternion().to_scaled_axis().length() < 1e-7);
     }
 
     #[test]

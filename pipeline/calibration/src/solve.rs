@@ -14,6 +14,9 @@ pub(crate) type Square = [[f64; UNKNOWNS]; UNKNOWNS];
 const TUKEY: f64 = 4.685;
 /// Neighbouring residuals come from the same pixels: so many count as one.
 const TOGETHER: f64 = 4.0;
+/// The share of matches that their scale is taken from, and its factor to the standard deviation of normal ones: on
+/// real clips more than half may be of things that move, or followed wrongly.
+const BELOW: (f64, f64) = (0.3, 2.5953);
 
 /// Kinds of residuals; each has its own scale.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -60,18 +63,20 @@ struct Scales {
 
 impl Scales {
     fn of(rows: &[Row], widest: f64) -> Self {
-        let scale = |kind: Kind, least: f64| {
+        // Of normal residuals, `share` lie below 1 / `factor` standard deviations.
+        let scale = |kind: Kind, least: f64, (share, factor): (f64, f64)| {
             let mut sizes: Vec<(f64, f64)> = rows
                 .iter()
                 .filter(|row| row.kind == kind && row.weight > 0.0)
                 .map(|row| (row.residual.abs(), row.weight))
                 .collect();
-            (1.4826 * weighted_median(&mut sizes)).clamp(least, widest.max(least))
+            (factor * weighted_quantile(&mut sizes, share)).clamp(least, widest.max(least))
         };
+        const MEDIAN: (f64, f64) = (0.5, 1.4826);
         Self {
-            edge: scale(Kind::Edge, 0.3),
-            outline: scale(Kind::Outline, 0.03),
-            epipolar: scale(Kind::Epipolar, 0.1),
+            edge: scale(Kind::Edge, 0.3, MEDIAN),
+            outline: scale(Kind::Outline, 0.03, MEDIAN),
+            epipolar: scale(Kind::Epipolar, 0.1, BELOW),
         }
     }
 
@@ -105,12 +110,17 @@ fn weights(rows: &[Row], widest: f64) -> Vec<f64> {
 
 /// The median of values with weights `(value, weight)`; 0 of nothing.
 pub(crate) fn weighted_median(values: &mut [(f64, f64)]) -> f64 {
+    weighted_quantile(values, 0.5)
+}
+
+/// The value below which a share of all weight lies; 0 of nothing.
+pub(crate) fn weighted_quantile(values: &mut [(f64, f64)], share: f64) -> f64 {
     values.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let half = 0.5 * values.iter().map(|(_, weight)| weight).sum::<f64>();
+    let enough = share * values.iter().map(|(_, weight)| weight).sum::<f64>();
     let mut sum = 0.0;
     for &(value, weight) in values.iter() {
         sum += weight;
-        if sum >= half {
+        if sum >= enough {
             return value;
         }
     }
@@ -312,5 +322,7 @@ mod tests {
     fn the_median_of_weights_is_the_one_in_the_middle() {
         assert_eq!(weighted_median(&mut [(3.0, 1.0), (1.0, 1.0), (2.0, 5.0)]), 2.0);
         assert_eq!(weighted_median(&mut []), 0.0);
+        let mut ten: Vec<(f64, f64)> = (1..=10).rev().map(|i| (f64::from(i), 1.0)).collect();
+        assert_eq!([0.25, 0.5].map(|share| weighted_quantile(&mut ten, share)), [3.0, 5.0]);
     }
 }

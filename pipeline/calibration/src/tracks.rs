@@ -15,6 +15,8 @@ const WINDOW: usize = ((2 * HALF + 1) * (2 * HALF + 1)) as usize;
 const APART: usize = 7;
 /// The smaller eigenvalue of a window's structure must reach this, grey values squared per pixel.
 const FLAT: f32 = 12.0;
+/// And this share of that of the image's best corner: weaker ones are led astray by noise and compression.
+const WEAK: f32 = 0.03;
 /// A point followed there and back must come back within this, pixels.
 const BACK_PX: f32 = 0.4;
 
@@ -49,6 +51,8 @@ impl Pyramid {
             .filter(|&at| strength[at] >= FLAT && !masked[at])
             .collect();
         places.sort_by(|&a, &b| strength[b].total_cmp(&strength[a]).then(a.cmp(&b)));
+        let least = places.first().map_or(0.0, |&best| WEAK * strength[best]);
+        places.retain(|&at| strength[at] >= least);
         let mut taken = vec![false; width * height];
         let mut corners = Vec::new();
         for at in places {

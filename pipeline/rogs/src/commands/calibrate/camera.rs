@@ -1,6 +1,7 @@
 //! One camera after the other.
 
 use rogs_agreement::audit::{Filmed, Footage, Mount};
+use rogs_calibration::rig::upside_down;
 use rogs_calibration::{Error as Unsolved, Picture, Prior, Refined, Settings, Take, overlay, refine, search};
 use rogs_geometry::Pinhole;
 use rogs_orchestrator::Error;
@@ -71,16 +72,59 @@ fn calibrate(clips: &Clips, robot: &Robot, args: &Args, name: &str) -> anyhow::R
     let pose = if on_hand { Prior::HAND_EYE } else { Prior::POSE };
     let settings = Settings {
         prior: Prior {
-            focal: args.focal.then_some(if args.new { 0.15 } else { 0.05 }),
+            focal: match (args.focal, args.new && on_hand) {
+                (true, _) => Some(if args.new { 0.15 } else { 0.05 }),
+                // The lens is that of the model, before rectification.
+                (false, true) => Some(0.05),
+                (false, false) => None,
+            },
             principal: args.principal_point.then_some(0.03),
-            lag_frames: args.lag.then_some(2.0),
+            lag_frames: args.lag.then_some(2.0).or(pose.lag_frames),
             ..pose
         },
         frames: args.frames as usize,
     };
-    let footages = camera.footages(clips, robot);
-    camera.refined = refine(&takes(&footages), &settings);
+    let refined = |camera: &Calibrated| refine(&takes(&camera.footages(clips, robot)), &settings);
+    camera.refined = refined(&camera);
+    if args.new
+        && let Mount::Hand { link, link_from_camera } = camera.start
+        && !camera.refined.as_ref().is_ok_and(is_sure)
+    {
+        let start = Mount::Hand {
+            link,
+            link_from_camera: upside_down(&link_from_camera),
+        };
+        let mut other = Calibrated {
+            start,
+            refined: Err(Unsolved::TooFewFrames { frames: 0 }),
+            name: camera.name.clone(),
+            given: camera.given.clone(),
+            ..camera
+        };
+        other.refined = refined(&other);
+        if fits_better(&other.refined, &camera.refined) {
+            return Ok(other);
+        }
+    }
     Ok(camera)
+}
+
+/// Whether a camera on the hand need not be sought elsewhere.
+fn is_sure(refined: &Refined) -> bool {
+    refined.after.overlay > 0.3 || refined.after.epipolar_px.is_some_and(|px| px < 0.7)
+}
+
+/// Whether one result of a camera on the hand is better than another one: by the path where one fits it by far better,
+/// else by the gripper.
+fn fits_better(new: &Result<Refined, Unsolved>, old: &Result<Refined, Unsolved>) -> bool {
+    let (Ok(new), Ok(old)) = (new, old) else {
+        return new.is_ok();
+    };
+    match (new.after.epipolar_px, old.after.epipolar_px) {
+        (Some(new), Some(old)) if new < 0.6 * old => true,
+        (Some(new), Some(old)) if old < 0.6 * new => false,
+        _ => new.after.overlay > old.after.overlay,
+    }
 }
 
 /// Lens and pose of a camera as the clip has them.
