@@ -41,6 +41,20 @@ fn notes(table: &Value) -> String {
     notes.map(|note| note.as_str().unwrap().to_owned() + "\n").collect()
 }
 
+/// The report of the run plays the stages and these baselines, in this order.
+fn assert_played(workspace: &Workspace, baselines: &[&str]) {
+    let (code, made) = workspace.rogs_json(&["report", "run", "--json"]);
+    assert_eq!(code, Some(0), "{made:#}");
+    let page = std::fs::read_to_string(workspace.path("run/report/index.html")).unwrap();
+    for (number, name) in (1..).zip(["Stage 1", "Stage 1+2"].iter().chain(baselines)) {
+        let script = format!("scenes/0001-{number}.js");
+        let source = format!("&quot;name&quot;:&quot;{name}&quot;,&quot;script&quot;:&quot;{script}&quot;");
+        assert!(page.contains(&source), "{name}");
+        let text = std::fs::read_to_string(workspace.path("run/report").join(&script)).unwrap();
+        assert!(text.contains("rogsScene("), "{name}");
+    }
+}
+
 #[test]
 fn baselines_are_units_of_the_run_with_rows_of_their_own() {
     let workspace = Workspace::small(1);
@@ -70,6 +84,7 @@ fn baselines_are_units_of_the_run_with_rows_of_their_own() {
     let (_, inputs) = workspace.rogs_json(&["table", "run", "--table", "inputs", "--json"]);
     let text = row(&inputs, "4dgt")["cells"].to_string();
     assert!(text.contains("17 / camera"), "{text}");
+    assert_played(&workspace, &["4DGT"]);
     // Nothing of a baseline is made twice, and nothing of it lies among the outputs of the run.
     let (code, again) = workspace.rogs_json(&["run", "baselines.toml", "--no-report", "--json"]);
     assert_eq!((code, &again["units"]["made"]), (Some(0), &Value::from(0)), "{again:#}");
@@ -179,6 +194,7 @@ fn shape_of_motion_needs_sidecars_and_what_fails_is_counted() {
     std::fs::rename(away, workspace.path("data/sidecars").join(&clips[1])).unwrap();
     let (code, made) = workspace.rogs_json(&["run", "som.toml", "--no-report", "--json"]);
     assert_eq!((code, &made["units"]["made"]), (Some(0), &Value::from(2)), "{made:#}");
+    assert_played(&workspace, &["Shape of Motion"]);
     let (_, inputs) = workspace.rogs_json(&["table", "run", "--table", "inputs", "--json"]);
     let text = row(&inputs, "som")["cells"].to_string();
     assert!(text.contains("FK masks only"), "{text}");

@@ -26,6 +26,7 @@ pub mod episode;
 mod identity;
 pub mod ids;
 pub mod index;
+pub mod interim;
 pub mod json;
 pub mod key;
 pub mod ledger;

@@ -125,6 +125,20 @@ const FIT: Case = Case {
 /// Parameters of [`FIT`].
 const FIT_PARAMS: &str = r#"{"updates": 4}"#;
 
+/// No manifest of the goldens names this baseline: sidecars and output lie beside the others.
+const LIFT_SOM: Case = Case {
+    stage: "lift-som",
+    output: "../asked/field-som.r4c",
+    upstream: &[("clip", "clip.r4c"), ("robot", "robot.r4c")],
+    sources: &[("sidecars", "asked/sidecars")],
+    weights: None,
+    rule: Rule::NETWORK,
+};
+
+/// Parameters of [`LIFT_SOM`]: few updates of few Gaussians, for images of 42x28; two batches an epoch.
+const LIFT_SOM_PARAMS: &str = r#"{"erode_px": 1, "dilate_px": 2, "tracks": 300, "background": 300, "clusters": 3,
+    "smallest_cluster": 3, "track_updates": 10, "epochs": 2, "batch": 5}"#;
+
 const SCORE_STAGE_1: Case = Case {
     stage: "score",
     output: "scores-1.r4c",
@@ -237,6 +251,7 @@ fn update() {
             (REFERENCES, REFERENCES_PARAMS),
             (AGREEMENT, AGREEMENT_PARAMS),
             (FIT, FIT_PARAMS),
+            (LIFT_SOM, LIFT_SOM_PARAMS),
         ] {
             let scratch = tempfile::tempdir().unwrap();
             let made = scratch.path().join("made.r4c");
@@ -278,6 +293,11 @@ fn agreement() {
 #[test]
 fn fit() {
     FIT.check();
+}
+
+#[test]
+fn lift_som() {
+    LIFT_SOM.check();
 }
 
 #[test]

@@ -12,6 +12,7 @@
 //! | [`depth_maps`] | aligned and filtered depth, normals of a depth map |
 //! | [`masks`] | foreground, background and the band between |
 //! | [`neighbours`] | distances to the nearest points |
+//! | [`watched`] | how well source views are shown, for whoever watches |
 //!
 //! The motion model and the losses are those of Shape of Motion (`docs/spec/baseline-som.md`); the stage `fit` takes what
 //! it needs of them. Images are rendered and differentiated by `rogs_splat`; this crate knows no rasteriser, no file and no
@@ -29,8 +30,10 @@ pub mod procrustes;
 pub mod six;
 pub mod statistics;
 pub mod tracks;
+pub mod watched;
 
 pub use adam::Adam;
 pub use bases::{BaseMotion, MotionBases, MotionGradient, Moved};
 pub use error::{OptimiseError, Result};
 pub use losses::Loss;
+pub use watched::Watched;

@@ -3,6 +3,7 @@
 use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
+use rogs_schemas::interim;
 use rogs_schemas::ledger::LOG_FILE;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -101,7 +102,13 @@ impl Sweep<'_> {
             }
             let name = entry.file_name().to_string_lossy().into_owned();
             let relative = path.strip_prefix(self.run).unwrap_or(&path);
-            let not_needed = name.ends_with(".r4c") && !name.starts_with('.') && !self.needed.contains(relative);
+            // What a killed job showed goes with what it would resume from.
+            let shown = [interim::FIGURES, interim::PICTURE].iter().any(|ending| {
+                let stem = name.strip_suffix(ending);
+                stem.is_some_and(|stem| stem.len() > 1 && stem.ends_with('.'))
+            });
+            let ours = name.ends_with(".r4c") || shown;
+            let not_needed = ours && !name.starts_with('.') && !self.needed.contains(relative);
             // The log of a clip that is in no plan any more.
             let orphan_log = name == LOG_FILE && depth == 1 && !known;
             if not_needed || orphan_log || rogs_files::is_left_behind(&path) {

@@ -4,9 +4,9 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use rogs_schemas::ClipId;
+use rogs_schemas::interim::{self, Figures, Interim};
 use rogs_schemas::ledger::Failure;
-use rogs_schemas::shown;
+use rogs_schemas::{CacheKey, ClipId, shown};
 use schemars::JsonSchema;
 use serde::Serialize;
 
@@ -53,6 +53,8 @@ pub struct Status {
     pub nodes: Vec<NodeStatus>,
     /// Failures.
     pub failures: Vec<StatusFailure>,
+    /// Units that show how far they are: those in work, and those that were killed.
+    pub interim: Vec<StatusInterim>,
     /// Per clip, the state of each node.
     pub units: Vec<ClipStatus>,
 }
@@ -95,6 +97,20 @@ pub struct StatusFailure {
     pub failure: Failure,
 }
 
+/// How far a unit is.
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+pub struct StatusInterim {
+    /// The clip.
+    pub clip: ClipId,
+    /// The node.
+    pub node: String,
+    /// How far.
+    #[serde(flatten)]
+    pub figures: Figures,
+    /// Observed images and renders, a PNG, relative to the run folder.
+    pub picture: PathBuf,
+}
+
 /// The units of one clip.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct ClipStatus {
@@ -125,17 +141,28 @@ pub fn status_of(plan: &Plan) -> Result<(Status, Vec<Vec<OutputState>>)> {
         last_failures(&plan.run)?
     };
     let maker = plan.key_maker();
-    let units: Vec<(Vec<UnitState>, Vec<StatusFailure>)> = (0..plan.clips.len())
+    let units: Vec<Units> = (0..plan.clips.len())
         .into_par_iter()
         .map(|clip| {
-            let (mut units, mut failures) = (Vec::with_capacity(plan.nodes.len()), Vec::new());
+            let mut units = Vec::with_capacity(plan.nodes.len());
+            let (mut failures, mut interim) = (Vec::new(), Vec::new());
             // Most clips of most runs are done: then nothing else has to be known.
             if states[clip].iter().all(|state| *state == OutputState::UpToDate) {
-                return (vec![UnitState::Done; plan.nodes.len()], failures);
+                return (vec![UnitState::Done; plan.nodes.len()], failures, interim);
             }
             let keys = maker.keys(clip);
+            let begun = plan.clip_folder(clip).is_dir();
             for node in 0..plan.nodes.len() {
                 let output = plan.output(WorkUnit { clip, node }, &keys);
+                if begun && states[clip][node] != OutputState::UpToDate {
+                    let figures = shown_beside(&plan.run.join(&output), keys[node].key);
+                    interim.extend(figures.map(|figures| StatusInterim {
+                        clip: plan.clips[clip].id.clone(),
+                        node: plan.nodes[node].label.clone(),
+                        figures,
+                        picture: interim::beside(&output, interim::PICTURE),
+                    }));
+                }
                 let attempt = last.get(&(output, keys[node].key));
                 let blocked = plan
                     .upstream(node)
@@ -159,17 +186,27 @@ pub fn status_of(plan: &Plan) -> Result<(Status, Vec<Vec<OutputState>>)> {
                     (OutputState::Missing, None) => UnitState::Todo,
                 });
             }
-            (units, failures)
+            (units, failures, interim)
         })
         .collect();
     Ok((summarise(plan, units), states))
 }
 
-fn summarise(plan: &Plan, units: Vec<(Vec<UnitState>, Vec<StatusFailure>)>) -> Status {
+/// States of the units of a clip, why some failed, and how far some are.
+type Units = (Vec<UnitState>, Vec<StatusFailure>, Vec<StatusInterim>);
+
+/// How far the job of an output with this key is, where one was begun that shows it.
+fn shown_beside(output: &Path, key: CacheKey) -> Option<Figures> {
+    let bytes = rogs_files::read(&interim::beside(output, interim::FIGURES)).ok()?;
+    let interim: Interim = serde_json::from_slice(&bytes).ok()?;
+    (interim.key == key).then_some(interim.figures)
+}
+
+fn summarise(plan: &Plan, units: Vec<Units>) -> Status {
     let count = |node: usize, wanted: &[UnitState]| {
         units
             .iter()
-            .filter(|(states, _)| wanted.contains(&states[node]))
+            .filter(|(states, ..)| wanted.contains(&states[node]))
             .count()
     };
     let nodes: Vec<NodeStatus> = (0..plan.nodes.len())
@@ -183,11 +220,11 @@ fn summarise(plan: &Plan, units: Vec<(Vec<UnitState>, Vec<StatusFailure>)>) -> S
         .collect();
     let done = units
         .iter()
-        .filter(|(states, _)| states.iter().all(|state| *state == UnitState::Done))
+        .filter(|(states, ..)| states.iter().all(|state| *state == UnitState::Done))
         .count();
     let failed = units
         .iter()
-        .filter(|(states, _)| states.contains(&UnitState::Failed))
+        .filter(|(states, ..)| states.contains(&UnitState::Failed))
         .count();
     let total = units.len();
     let exit = match (done, failed) {
@@ -196,10 +233,11 @@ fn summarise(plan: &Plan, units: Vec<(Vec<UnitState>, Vec<StatusFailure>)>) -> S
         (done, failed) if done > 0 || failed < total => Exit::Partial,
         _ => Exit::Failed,
     };
-    let mut failures = Vec::new();
+    let (mut failures, mut interim) = (Vec::new(), Vec::new());
     let mut clips = Vec::with_capacity(total);
-    for ((states, own), clip) in units.into_iter().zip(&plan.clips) {
-        failures.extend(own);
+    for ((states, failed, shown), clip) in units.into_iter().zip(&plan.clips) {
+        failures.extend(failed);
+        interim.extend(shown);
         clips.push(ClipStatus {
             clip: clip.id.clone(),
             states,
@@ -213,6 +251,7 @@ fn summarise(plan: &Plan, units: Vec<(Vec<UnitState>, Vec<StatusFailure>)>) -> S
         clips: StatusClips { total, done, failed },
         nodes,
         failures,
+        interim,
         units: clips,
     }
 }
@@ -237,6 +276,11 @@ impl Status {
             std::iter::once(node.node.clone()).chain(counts).collect()
         }));
         lines.extend(columns(&rows));
+        for own in &self.interim {
+            let words = own.figures.words();
+            lines.push(format!("{} at {}: {}", own.clip, own.node, shown::line(&words)));
+            lines.push(format!("  picture: {}", self.run.join(&own.picture).display()));
+        }
         for StatusFailure { clip, node, failure } in &self.failures {
             lines.push(format!("failed: {clip} at {node}: {}", shown::line(&failure.message)));
             lines.extend(failure.hint.iter().map(|hint| format!("  hint: {}", shown::line(hint))));

@@ -227,6 +227,10 @@ fn gc_removes_what_no_plan_names_and_nothing_else() {
     }
     workspace.write("run/clips/a/.field-1.r4c.4194301.00000000.tmp", "half");
     workspace.write("run/clips/a/notes.txt", "mine");
+    workspace.write("run/clips/a/progress.png", "mine too");
+    // What a killed job of a stage that is no longer asked for showed.
+    workspace.write("run/clips/a/field-fit.progress.json", "{}");
+    workspace.write("run/clips/a/field-fit.progress.png", "picture");
     workspace.run();
     let names = || {
         let mut names = Vec::new();
@@ -236,18 +240,20 @@ fn gc_removes_what_no_plan_names_and_nothing_else() {
     let before = names();
     let dry = gc::collect(&workspace.run_folder(), true).unwrap();
     assert_eq!(names(), before, "a dry run writes nothing");
-    // Four outputs of the variant in two clips; of the third clip eleven and its log.
+    // Four outputs of the variant in two clips; of the third clip eleven and its log; what was shown of a killed job.
     let leftover = dry
         .files
         .iter()
         .filter(|file| file.extension().is_some_and(|extension| extension == "tmp"))
         .count();
-    assert_eq!(dry.files.len() - leftover, 8 + 11 + 1, "{:?}", dry.files);
+    assert_eq!(dry.files.len() - leftover, 8 + 11 + 1 + 2, "{:?}", dry.files);
     assert!(dry.bytes > 0 && workspace.run_folder().join("clips/c").exists());
     let done = gc::collect(&workspace.run_folder(), false).unwrap();
     assert_eq!(done.files, dry.files);
     assert!(!workspace.run_folder().join("clips/c").exists());
-    assert!(workspace.run_folder().join("clips/a/notes.txt").exists());
+    for name in ["notes.txt", "progress.png"] {
+        assert!(workspace.run_folder().join("clips/a").join(name).exists(), "{name}");
+    }
     assert_eq!(workspace.run().units.made, 0);
     let elsewhere = workspace.run_folder().join("clips/a/.field-1.r4c.4194301.00000000.tmp");
     assert_eq!(workspace.temporaries(), [elsewhere]);

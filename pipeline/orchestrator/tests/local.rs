@@ -5,7 +5,9 @@
 mod common;
 
 use common::Workspace;
+use rogs_orchestrator::plan::{WorkUnit, read_plan};
 use rogs_orchestrator::{Exit, status};
+use rogs_schemas::interim::{self, Figures, Interim};
 use rogs_schemas::protocol::FailureCode;
 
 #[test]
@@ -37,6 +39,48 @@ fn a_run_makes_every_output_and_a_second_one_nothing() {
             .bad
             .is_empty()
     );
+}
+
+#[test]
+fn a_unit_in_work_shows_how_far_it_is() {
+    let workspace = Workspace::new();
+    workspace.run();
+    let run = workspace.run_folder();
+    let plan = read_plan(&run).unwrap();
+    let (clip, keys) = (1, plan.keys(1));
+    let node = plan.nodes.iter().position(|node| node.label == "refine").unwrap();
+    let output = plan.output(WorkUnit { clip, node }, &keys);
+    let mut shown = Interim {
+        key: keys[node].key,
+        figures: Figures {
+            part: None,
+            update: 25,
+            updates: 100,
+            loss: 0.0512,
+            source_psnr_db: Some(25.3),
+        },
+    };
+    let write = |shown: &Interim| {
+        let path = interim::beside(&run.join(&output), interim::FIGURES);
+        std::fs::write(path, serde_json::to_vec(shown).unwrap()).unwrap();
+        status::status(&run).unwrap()
+    };
+    assert!(write(&shown).interim.is_empty(), "the output is there");
+    std::fs::remove_file(run.join(&output)).unwrap();
+    let status = write(&shown);
+    let [own] = &status.interim[..] else {
+        panic!("{:?}", status.interim)
+    };
+    assert_eq!((own.clip.as_str(), own.node.as_str()), ("b", "refine"));
+    assert_eq!(own.figures, shown.figures);
+    assert_eq!(own.picture, interim::beside(&output, interim::PICTURE));
+    let table = status.table();
+    assert!(
+        table.contains("b at refine: update 25 of 100, loss 0.0512, source views 25.30 dB\n  picture: "),
+        "{table}"
+    );
+    shown.key.0[0] ^= 1;
+    assert!(write(&shown).interim.is_empty(), "of another unit");
 }
 
 #[test]

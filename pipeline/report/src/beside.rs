@@ -50,6 +50,8 @@ impl SceneFiles {
             field: clip.field.clone()?,
             refinement: clip.refinement.clone(),
             fitted: clip.fitted.clone(),
+            polynomial: clip.polynomial.clone(),
+            motion_bases: clip.motion_bases.clone(),
             clip: clip.clip.clone()?,
             robot: clip.robot.clone()?,
         })
@@ -115,10 +117,12 @@ fn stamp(files: &SceneFiles, robot: bool) -> Option<String> {
         Some(path) => Some(read_key(path).ok()?.to_string()),
         None => Some(String::new()),
     };
-    let (refinement, fitted) = (key(&files.refinement)?, key(&files.fitted)?);
+    let others = [&files.refinement, &files.fitted, &files.polynomial, &files.motion_bases];
+    let others: Vec<String> = others.into_iter().map(key).collect::<Option<_>>()?;
     let mesh = if robot { "robot" } else { "" };
     Some(format!(
-        "/* rogs-scene {SCENE_VERSION} {field} {refinement} {fitted} {mesh} */\n"
+        "/* rogs-scene {SCENE_VERSION} {field} {} {mesh} */\n",
+        others.join(" ")
     ))
 }
 

@@ -16,6 +16,7 @@
 //! Text is escaped by type, see `maud`.
 
 mod audit;
+mod baseline_scenes;
 mod beside;
 mod contract;
 mod costs;

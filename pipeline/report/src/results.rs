@@ -63,6 +63,10 @@ pub(crate) struct ClipResults {
     pub(crate) refinement: Option<PathBuf>,
     /// The field that `fit` made of it.
     pub(crate) fitted: Option<PathBuf>,
+    /// The field of the baseline 4DGT, the first of several.
+    pub(crate) polynomial: Option<PathBuf>,
+    /// The field of the baseline Shape of Motion, the first of several.
+    pub(crate) motion_bases: Option<PathBuf>,
     /// Scores by method, in the order of the plan; by node where the file cannot be read.
     pub(crate) scores: Vec<(String, PathBuf)>,
     /// What went wrong.
@@ -144,6 +148,8 @@ impl RunResults {
                     }
                 }
                 StageId::Refine if !node.by_key => clip.refinement = clip.refinement.take().or(Some(path)),
+                StageId::Lift4dgt => clip.polynomial = clip.polynomial.take().or(Some(path)),
+                StageId::LiftSom => clip.motion_bases = clip.motion_bases.take().or(Some(path)),
                 StageId::Fit if !node.by_key => clip.fitted = clip.fitted.take().or(Some(path)),
                 StageId::Score => match read_record::<Scores>(&path) {
                     // An outside method without a prediction for the clip: it does not count there.

@@ -9,11 +9,16 @@ use rogs_r4c::{FieldFile, read_record, read_refinement_of};
 use rogs_robot::{Mesh, MeshScene, RobotModel, names};
 use rogs_schemas::records::clip::{CameraRole, Clip};
 use rogs_schemas::records::field::Field;
+use rogs_schemas::records::motion_bases::MotionBasisField;
+use rogs_schemas::records::polynomial::PolynomialField;
 use rogs_schemas::records::refinement::Refinement;
 use rogs_schemas::records::robot::{RobotMaps, RobotSpec};
 use rogs_schemas::units::LengthUnit;
 use rogs_schemas::{CameraIndex, ClipId, FrameIndex};
+use rogs_score::outside::OutsideError;
+use rogs_splat::Gaussians;
 
+use crate::baseline_scenes::{MotionBasisScene, PolynomialScene};
 use crate::pictures::photograph;
 
 /// Most triangles of a robot that is drawn.
@@ -24,6 +29,10 @@ const STAGE_1: &str = "Stage 1";
 const STAGE_2: &str = "Stage 1+2";
 /// Name of the scene of the stage `fit`.
 const FITTED: &str = "Fit";
+/// Name of the scene of the baseline 4DGT.
+const FOUR_DGT: &str = "4DGT";
+/// Name of the scene of the baseline Shape of Motion.
+const SHAPE_OF_MOTION: &str = "Shape of Motion";
 /// Highest degree of harmonics that the viewer draws.
 const DEGREE: usize = 1;
 
@@ -37,6 +46,9 @@ pub enum SceneError {
     /// The field contradicts itself or its refinement.
     #[error(transparent)]
     Field(#[from] rogs_field::Error),
+    /// The field of a baseline contradicts itself.
+    #[error(transparent)]
+    Baseline(#[from] OutsideError),
     /// A pose is none.
     #[error(transparent)]
     Geometry(#[from] rogs_geometry::Error),
@@ -47,7 +59,7 @@ pub enum SceneError {
     #[error(transparent)]
     Scene(#[from] rogs_export::Error),
     /// Files of different clips.
-    #[error("clip, robot maps or fitted field belong to clip `{found}`, the field to `{expected}`")]
+    #[error("clip, robot maps or another field belong to clip `{found}`, the field to `{expected}`")]
     OtherClip {
         /// Clip of the file.
         found: String,
@@ -68,6 +80,10 @@ pub struct SceneFiles {
     pub refinement: Option<PathBuf>,
     /// The field that the stage `fit` made of it.
     pub fitted: Option<PathBuf>,
+    /// The field of the baseline 4DGT.
+    pub polynomial: Option<PathBuf>,
+    /// The field of the baseline Shape of Motion.
+    pub motion_bases: Option<PathBuf>,
     /// Cameras and recorded images.
     pub clip: PathBuf,
     /// Poses of cameras and links.
@@ -136,13 +152,19 @@ impl SceneFiles {
     /// The names of the scenes, in the order in which [`scenes_of`] gives them.
     #[must_use]
     pub fn names(&self) -> Vec<&'static str> {
-        let more = [(&self.refinement, STAGE_2), (&self.fitted, FITTED)];
+        let more = [
+            (&self.refinement, STAGE_2),
+            (&self.fitted, FITTED),
+            (&self.polynomial, FOUR_DGT),
+            (&self.motion_bases, SHAPE_OF_MOTION),
+        ];
         let more = more.into_iter().filter(|(path, _)| path.is_some());
         [STAGE_1].into_iter().chain(more.map(|(_, name)| name)).collect()
     }
 }
 
-/// The scenes of a clip, by name: of Stage 1, with the corrections of Stage 2, and of `fit`, where there are such.
+/// The scenes of a clip, by name: of Stage 1, with the corrections of Stage 2, of `fit` and of baselines, where there are
+/// such.
 ///
 /// # Errors
 /// When a file cannot be read or belongs to another clip.
@@ -161,35 +183,33 @@ pub fn scenes_of(
     let pictures = pictures(&clip, &times);
     let meshes = robot_mesh.map(|mesh| mesh.of_links(&robot.link_names));
     let meshes = meshes.unwrap_or_default();
+    let (frames, fps) = (frames(&clip, &times), clip.fps);
     drop((clip, robot));
-    let mut write = |name: &'static str, field: &mut OneTime, refinement: Option<&Refinement>| {
+    let recon_from_base: Pose<Recon, Base> = Pose::from_rigid(&field.held.recon_from_base)?;
+    let links = field.held.link.clone();
+    let mut scenes: Vec<(&'static str, Vec<u8>)> = Vec::new();
+    let mut add = |name: &'static str, link_of: &[u8], unit, at: At<'_>| {
         head.name = name.to_owned();
-        let link_of = field.held.link.clone();
         // The viewer takes what scenes have in common from the first one.
-        let own = name == STAGE_1;
+        let first = scenes.is_empty();
         let writer = SceneWriter {
             head: &head,
-            link_of: &link_of,
-            meshes: if own { &meshes } else { &[] },
-            pictures: if own { &pictures } else { &[] },
-            unit: LengthUnit::Internal,
+            link_of,
+            meshes: if first { &meshes } else { &[] },
+            pictures: if first { &pictures } else { &[] },
+            unit,
             most_degree: DEGREE,
         };
-        let bytes = writer.bytes(|time| {
-            let field = field.turned_to(time)?;
-            let timed = TimedField::new(field)?;
-            let timed = match refinement {
-                Some(refinement) => timed.with_refinement(refinement)?,
-                None => timed,
-            };
-            Ok::<_, SceneError>(timed.gaussians(times[time])?)
-        })?;
-        Ok::<_, SceneError>((name, bytes))
+        scenes.push((name, writer.bytes(at)?));
+        Ok::<_, SceneError>(())
     };
-    let mut scenes = vec![write(STAGE_1, &mut field, None)?];
+    let own = LengthUnit::Internal;
+    add(STAGE_1, &links, own, &mut |time| field.gaussians(time, None))?;
     if let Some(path) = &files.refinement {
         let refinement = read_refinement_of(path, field.file.key())?;
-        scenes.push(write(STAGE_2, &mut field, Some(&refinement))?);
+        add(STAGE_2, &links, own, &mut |time| {
+            field.gaussians(time, Some(&refinement))
+        })?;
     }
     if let Some(path) = &files.fitted {
         let mut fitted = OneTime::open(path)?;
@@ -197,10 +217,28 @@ pub fn scenes_of(
         if fitted.file.times() != times {
             return Err(SceneError::OtherTimes);
         }
-        scenes.push(write(FITTED, &mut fitted, None)?);
+        let links = fitted.held.link.clone();
+        add(FITTED, &links, own, &mut |time| fitted.gaussians(time, None))?;
+    }
+    if let Some(path) = &files.polynomial {
+        let (made, _) = read_record::<PolynomialField>(path)?;
+        same_clip(&made.clip_id, &field)?;
+        let scene = PolynomialScene::new(made.gaussians, fps, recon_from_base);
+        add(FOUR_DGT, &[], LengthUnit::Metre, &mut |time| Ok(scene.at(frames[time])))?;
+    }
+    if let Some(path) = &files.motion_bases {
+        let (made, _) = read_record::<MotionBasisField>(path)?;
+        same_clip(&made.clip_id, &field)?;
+        let scene = MotionBasisScene::new(made, recon_from_base)?;
+        add(SHAPE_OF_MOTION, &[], LengthUnit::Metre, &mut |time| {
+            Ok(scene.at(frames[time])?)
+        })?;
     }
     Ok(scenes)
 }
+
+/// Gives the Gaussians at a stored time, by its index.
+type At<'a> = &'a mut dyn FnMut(usize) -> Result<Gaussians, SceneError>;
 
 /// Refuses a file of another clip than that of the field.
 fn same_clip(found: &ClipId, field: &OneTime) -> Result<(), SceneError> {
@@ -225,6 +263,17 @@ impl OneTime {
         let file = FieldFile::open(path)?;
         let held = file.base()?;
         Ok(Self { file, held })
+    }
+
+    /// The Gaussians at a stored time, by its index, with corrections where there are some.
+    fn gaussians(&mut self, time: usize, refinement: Option<&Refinement>) -> Result<Gaussians, SceneError> {
+        let at = self.file.times()[time];
+        let timed = TimedField::new(self.turned_to(time)?)?;
+        let timed = match refinement {
+            Some(refinement) => timed.with_refinement(refinement)?,
+            None => timed,
+        };
+        Ok(timed.gaussians(at)?)
     }
 
     /// The field with the slice of a stored time, by its index.

@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use rogs_r4c::Record;
 use rogs_schemas::SchemaId;
+use rogs_schemas::interim::Figures;
 use rogs_schemas::protocol::InputDescription;
 use rogs_schemas::records::progress::Progress;
 use rogs_schemas::records::scores::{ScoreSheet, Scores};
@@ -88,6 +89,14 @@ impl Stage for Toy {
                         counters: vec![("steps".to_owned(), done + 1)],
                         arrays: Vec::new(),
                     })?;
+                    let figures = Figures {
+                        part: None,
+                        update: done as u32 + 1,
+                        updates: 2,
+                        loss: 0.5,
+                        source_psnr_db: None,
+                    };
+                    context.show(&figures, b"picture");
                     std::process::abort();
                 }
                 text = format!("after {done}");

@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use rogs_r4c::Record;
 use rogs_schemas::ClipId;
+use rogs_schemas::interim::{self, Figures, Interim};
 use rogs_schemas::key::{CacheKey, ContentHash, Provenance};
 use rogs_schemas::records::progress::Progress;
 
@@ -22,11 +23,6 @@ pub struct Context<'a> {
     warnings: Vec<String>,
     seconds: BTreeMap<String, f64>,
     written: Option<ContentHash>,
-}
-
-/// Where a job keeps how far it has come: `field-som.progress.r4c` beside `field-som.r4c`.
-pub(crate) fn kept_beside(output: &Path) -> PathBuf {
-    output.with_extension("progress.r4c")
 }
 
 /// What is left of a context after the stage ran.
@@ -137,7 +133,7 @@ impl Context<'_> {
     /// of another key, counts as none: the job then begins at its beginning.
     #[must_use]
     pub fn kept(&self) -> Option<Progress> {
-        let (progress, info) = rogs_r4c::read_record::<Progress>(&kept_beside(self.output)).ok()?;
+        let (progress, info) = rogs_r4c::read_record::<Progress>(&interim::beside(self.output, interim::STATE)).ok()?;
         (info.provenance.material == self.provenance.material).then_some(progress)
     }
 
@@ -148,9 +144,28 @@ impl Context<'_> {
     /// When writing fails.
     pub fn keep(&mut self, progress: &Progress) -> StageResult<()> {
         let start = Instant::now();
-        rogs_r4c::write_record(&kept_beside(self.output), progress, &self.provenance)?;
+        rogs_r4c::write_record(&interim::beside(self.output, interim::STATE), progress, &self.provenance)?;
         *self.seconds.entry("keep".to_owned()).or_default() += start.elapsed().as_secs_f64();
         Ok(())
+    }
+
+    /// Shows how far the job has come beside its output, in place of what was shown before: figures, and a picture as the bytes
+    /// of a PNG. Both are taken away with what was [kept](Self::keep). The job goes on where they cannot be written.
+    pub fn show(&mut self, figures: &Figures, picture_png: &[u8]) {
+        let interim = Interim {
+            key: self.provenance.key(),
+            figures: figures.clone(),
+        };
+        let figures = serde_json::to_vec(&interim).unwrap_or_default();
+        let files = [(interim::PICTURE, picture_png), (interim::FIGURES, figures.as_slice())];
+        for (ending, bytes) in files {
+            if let Err(error) = rogs_files::write_bytes(&interim::beside(self.output, ending), bytes) {
+                let warning = format!("how far the job is cannot be shown: {error}");
+                if !self.warnings.contains(&warning) {
+                    self.warn(warning);
+                }
+            }
+        }
     }
 
     /// Reports progress, `fraction` in 0..=1.
@@ -192,5 +207,9 @@ impl Observer for Context<'_> {
 
     fn keep(&mut self, progress: &Progress) -> StageResult<()> {
         Context::keep(self, progress)
+    }
+
+    fn show(&mut self, figures: &Figures, picture_png: &[u8]) {
+        Context::show(self, figures, picture_png);
     }
 }

@@ -7,10 +7,11 @@ use std::path::PathBuf;
 use std::sync::{Mutex, Once, PoisonError};
 use std::time::{Instant, SystemTime};
 
+use rogs_schemas::interim;
 use rogs_schemas::key::{CacheKey, Provenance};
 use rogs_schemas::protocol::{FailureCode, Job};
 
-use crate::context::{Context, kept_beside};
+use crate::context::Context;
 use crate::error::{StageError, StageResult};
 use crate::params::{canonical, parse_params};
 use crate::stage::Stage;
@@ -62,7 +63,9 @@ impl<S: Stage> Runner<S> {
         // After a full disk or a lost network the next attempt may resume.
         let may_help = |error: &StageError| matches!(error.code, FailureCode::Io | FailureCode::Resource);
         if !result.as_ref().is_err_and(may_help) {
-            let _ = std::fs::remove_file(kept_beside(&job.output));
+            for ending in interim::ENDINGS {
+                let _ = std::fs::remove_file(interim::beside(&job.output, ending));
+            }
         }
         *lock(&CURRENT) = None;
         let mut report = result?;

@@ -2,6 +2,7 @@
 
 use std::time::Instant;
 
+use rogs_schemas::interim::Figures;
 use rogs_schemas::records::progress::Progress;
 
 use crate::error::StageResult;
@@ -39,6 +40,9 @@ pub trait Observer {
     fn keep(&mut self, _progress: &Progress) -> StageResult<()> {
         Ok(())
     }
+
+    /// Shows a person how far the work has come: figures, and a picture as the bytes of a PNG.
+    fn show(&mut self, _figures: &Figures, _picture_png: &[u8]) {}
 }
 
 impl dyn Observer + '_ {
@@ -106,6 +110,19 @@ impl Observer for Part<'_> {
     fn keep(&mut self, progress: &Progress) -> StageResult<()> {
         self.whole.keep(progress)
     }
+
+    fn show(&mut self, figures: &Figures, picture_png: &[u8]) {
+        if self.name.is_empty() {
+            self.whole.show(figures, picture_png);
+        } else {
+            let part = Some(self.name.clone());
+            let figures = Figures {
+                part,
+                ..figures.clone()
+            };
+            self.whole.show(&figures, picture_png);
+        }
+    }
 }
 
 #[cfg(test)]
@@ -117,6 +134,7 @@ mod tests {
         progress: Vec<(f64, String)>,
         parts: Vec<String>,
         warnings: Vec<String>,
+        shown: Vec<String>,
     }
 
     impl Observer for Notes {
@@ -132,6 +150,10 @@ mod tests {
         fn warn(&mut self, warning: String) {
             self.warnings.push(warning);
         }
+
+        fn show(&mut self, figures: &Figures, picture_png: &[u8]) {
+            self.shown.push(format!("{}, {picture_png:?}", figures.words()));
+        }
     }
 
     #[test]
@@ -144,11 +166,22 @@ mod tests {
         observer.warn("careful".into());
         let observer: &mut dyn Observer = &mut Part::new(&mut notes, 0.75, 0.25).named("last".into());
         observer.progress(1.0, "three");
+        let figures = Figures {
+            part: None,
+            update: 3,
+            updates: 4,
+            loss: 0.5,
+            source_psnr_db: None,
+        };
+        observer.show(&figures, &[1]);
+        Part::new(&mut notes, 0.75, 0.25).show(&figures, &[2]);
         let expected = [(0.5, "one"), (0.75, "two"), (1.0, "last: three")];
         assert_eq!(
             notes.progress,
             expected.map(|(fraction, what)| (fraction, what.to_owned()))
         );
+        let words = "update 3 of 4, loss 0.5000";
+        assert_eq!(notes.shown, [format!("last: {words}, [1]"), format!("{words}, [2]")]);
         assert_eq!(
             (notes.parts, notes.warnings),
             (vec!["one".to_owned(), "two".to_owned()], vec!["careful".to_owned()])

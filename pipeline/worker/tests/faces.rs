@@ -8,6 +8,7 @@ use std::process::{Child, Command, Output, Stdio};
 
 use rogs_r4c::Record as _;
 use rogs_schemas::ClipId;
+use rogs_schemas::interim::Interim;
 use rogs_schemas::key::KeyMaterial;
 use rogs_schemas::protocol::{Description, Event, FailureCode, Job, JobId};
 use rogs_schemas::records::scores::Scores;
@@ -273,7 +274,7 @@ fn nothing_is_left_beside_the_output() {
 #[test]
 fn a_killed_job_goes_on_from_what_it_kept_and_another_does_not() {
     let folder = Folder::new();
-    let kept = "out.progress.r4c".to_owned();
+    let [figures, picture, kept] = ["json", "png", "r4c"].map(|ending| format!("out.progress.{ending}"));
     let die = |job: &Job| {
         let mut worker = Worker::start();
         worker.event();
@@ -283,7 +284,10 @@ fn a_killed_job_goes_on_from_what_it_kept_and_another_does_not() {
     let first = folder.job(1, "steps");
     die(&first);
     die(&first);
-    assert_eq!(folder.names(), [&kept, "source-1"]);
+    assert_eq!(folder.names(), [&figures, &picture, &kept, "source-1"]);
+    let shown: Interim = serde_json::from_slice(&std::fs::read(folder.path(&figures)).unwrap()).unwrap();
+    assert_eq!((shown.key, shown.figures.update), (first.key, 2));
+    assert_eq!(std::fs::read(folder.path(&picture)).unwrap(), b"picture");
     // A job of another key begins at its beginning, in the place of what was kept.
     die(&folder.job(2, "steps"));
     die(&first);

@@ -1,10 +1,12 @@
 //! The updates of a fit (`docs/spec/fit.md` sections 4 and 5).
 
 use rayon::prelude::*;
-use rogs_optimise::Adam;
+use rogs_arrays::png_bytes;
 use rogs_optimise::losses::image::photometric;
 use rogs_optimise::losses::robust::disparity_l1;
+use rogs_optimise::{Adam, Watched};
 use rogs_random::Pcg64;
+use rogs_schemas::interim::Figures;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::{Field, NamedArray};
 use rogs_schemas::records::progress::Progress as Kept;
@@ -72,6 +74,8 @@ pub struct Fitting<'a> {
     sources: Vec<usize>,
     times: Vec<SourceTime>,
     progress: Progress,
+    /// The source views, one source time after the other, as they were last rendered. No update depends on it.
+    watched: Watched,
 }
 
 impl<'a> Fitting<'a> {
@@ -92,6 +96,8 @@ impl<'a> Fitting<'a> {
         let sources: Vec<usize> = times.iter().map(|time| time.slice).collect();
         let parameters = Parameters::zeros(&start, sources.len());
         let moments = groups(&parameters).map(|group| Adam::new(group.len()));
+        let views = times.iter().map(|time| time.cameras.len()).sum();
+        let watched = Watched::new(views, inputs.field.height as usize, inputs.field.width as usize);
         Ok(Self {
             inputs,
             params,
@@ -103,6 +109,7 @@ impl<'a> Fitting<'a> {
                 parameters,
                 moments,
             },
+            watched,
         })
     }
 
@@ -165,8 +172,9 @@ impl<'a> Fitting<'a> {
     /// # Errors
     /// When the field cannot be rendered.
     pub fn update(&mut self) -> StageResult<f64> {
-        let time = &self.times[self.next_time()];
-        let (loss, gradient) = self.loss(time, &self.progress.parameters)?;
+        let time = self.next_time();
+        let (loss, gradient, renders) = self.loss(&self.times[time], &self.progress.parameters)?;
+        self.watch(time, &renders)?;
         let share = f64::from(self.progress.updates) / f64::from(self.params.updates.max(1));
         let fall = libm::pow(LAST_RATE, share.min(1.0));
         let rates = &self.params.rates;
@@ -202,6 +210,40 @@ impl<'a> Fitting<'a> {
         self.scene().into_field(&self.progress.parameters, self.inputs.field)
     }
 
+    /// How far it is, given the loss of the last update.
+    #[must_use]
+    pub fn figures(&self, loss: f64) -> Figures {
+        Figures {
+            part: None,
+            update: self.progress.updates,
+            updates: self.params.updates,
+            loss,
+            source_psnr_db: self.watched.psnr_db(),
+        }
+    }
+
+    /// Observed images and renders of the source time of the last update beside each other, as the bytes of a PNG; empty
+    /// before the first.
+    ///
+    /// # Errors
+    /// When the picture cannot be encoded.
+    pub fn picture_png(&self) -> StageResult<Vec<u8>> {
+        let Some((size, rgb)) = self.watched.picture() else {
+            return Ok(Vec::new());
+        };
+        png_bytes(size, &rgb).map_err(internal)
+    }
+
+    /// Notes how well the source views of a source time were rendered.
+    fn watch(&mut self, time: usize, renders: &[Render]) -> StageResult<()> {
+        let before = self.times[..time].iter().map(|time| time.cameras.len()).sum::<usize>();
+        let pairs = renders.iter().zip(&self.times[time].images).enumerate();
+        let views: Vec<_> = pairs
+            .map(|(view, (render, image))| (before + view, render.rgb.as_slice(), image.as_slice()))
+            .collect();
+        self.watched.see(&views).map_err(internal)
+    }
+
     fn scene(&self) -> Scene<'_> {
         Scene {
             start: &self.start,
@@ -217,8 +259,8 @@ impl<'a> Fitting<'a> {
         random.permutation(count)[place as usize] as usize
     }
 
-    /// Loss over the cameras of a source time (section 4), and its gradient.
-    fn loss(&self, time: &SourceTime, parameters: &Parameters) -> StageResult<(f64, Parameters)> {
+    /// Loss over the cameras of a source time (section 4), its gradient, and the renders of these cameras and the one beside.
+    fn loss(&self, time: &SourceTime, parameters: &Parameters) -> StageResult<(f64, Parameters, Vec<Render>)> {
         let scene = self.scene();
         let posed = scene.pose(parameters, time.slice)?;
         let config = RasterConfig::default();
@@ -242,7 +284,7 @@ impl<'a> Fitting<'a> {
             .collect();
         let (gradients, _) = backward_views(&posed.gaussians, &config, &tapes, &images).map_err(internal)?;
         let value = terms.iter().map(|term| term.value).sum::<f64>();
-        Ok((value, scene.gradient(&posed, &gradients)?))
+        Ok((value, scene.gradient(&posed, &gradients)?, renders))
     }
 
     /// One of the source cameras, moved sideways to where no image was taken; none where coverage has no weight.
@@ -328,12 +370,11 @@ pub fn fit(
         let loss = fitting.update()?;
         let done = fitting.progress.updates;
         let fraction = f64::from(done) / f64::from(params.updates);
-        observer.progress(
-            0.98 * fraction,
-            &format!("update {done} of {}, loss {loss:.4}", params.updates),
-        );
+        let figures = fitting.figures(loss);
+        observer.progress(0.98 * fraction, &figures.words());
         if done.is_multiple_of(KEEP_EVERY) && done < params.updates {
             observer.keep(&fitting.kept())?;
+            observer.show(&figures, &fitting.picture_png()?);
         }
     }
     let mut field = fitting.field()?;

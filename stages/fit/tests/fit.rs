@@ -1,5 +1,6 @@
 //! A fit of a small procedural clip: what it gains, what it keeps, and what it refuses.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::print_stderr, clippy::too_many_lines)]
+#![allow(clippy::disallowed_methods, reason = "files of tests may be left half-written")]
 
 use std::sync::OnceLock;
 
@@ -8,6 +9,7 @@ use rogs_field::TimedField;
 use rogs_fit::{ClipInputs, FitParams, Fitting, RobotMotion, fit};
 use rogs_geometry::{Base, LinkPoses, Pose, PosedCamera, Recon};
 use rogs_robot_maps::Robot;
+use rogs_schemas::interim::Figures;
 use rogs_schemas::records::clip::{CameraRole, Clip, time_of_frame};
 use rogs_schemas::records::field::{Field, RAW_CHANNELS, TimeSlice, WeightsInfo};
 use rogs_schemas::records::progress::Progress;
@@ -16,7 +18,7 @@ use rogs_schemas::units::{LengthUnit, UNITS_PER_METRE};
 use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex};
 use rogs_splat::{RasterCamera, RasterConfig, render};
 use rogs_synth::{ROBOT_SPEC_FILE, SynthConfig, write_dataset};
-use rogs_worker::Unobserved;
+use rogs_worker::{Observer, Unobserved};
 
 const FRAMES: u32 = 5;
 
@@ -186,6 +188,18 @@ fn psnr(example: &Example, field: &Field, role: CameraRole, frames: &[u32]) -> f
     sum / f64::from(count)
 }
 
+/// Notes what it is shown.
+#[derive(Default)]
+struct Watching {
+    shown: Vec<(Figures, Vec<u8>)>,
+}
+
+impl Observer for Watching {
+    fn show(&mut self, figures: &Figures, picture_png: &[u8]) {
+        self.shown.push((figures.clone(), picture_png.to_vec()));
+    }
+}
+
 #[test]
 fn source_views_gain_and_so_do_views_that_were_never_seen() {
     let example = example();
@@ -193,8 +207,25 @@ fn source_views_gain_and_so_do_views_that_were_never_seen() {
         updates: 40,
         ..FitParams::default()
     };
-    let fitted = fit(example.inputs(), &params, None, &mut Unobserved).unwrap();
+    let mut watching = Watching::default();
+    let fitted = fit(example.inputs(), &params, None, &mut watching).unwrap();
     fitted.check().unwrap();
+    // Whoever watches sees the source views on their way.
+    let [(figures, picture)] = &watching.shown[..] else {
+        panic!("{} pictures", watching.shown.len())
+    };
+    assert_eq!((figures.update, figures.updates), (25, 40));
+    let shown = figures.source_psnr_db.unwrap();
+    let [start, end] = [&example.field, &fitted].map(|field| psnr(example, field, CameraRole::Source, &[0, 4]));
+    assert!(start < shown && shown < end + 0.2, "{start} {shown} {end}");
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), picture).unwrap();
+    let picture = rogs_arrays::Png::open(file.path()).unwrap();
+    let cameras = example.clip.source_cameras().len() as u32;
+    assert_eq!(
+        (picture.width, picture.height),
+        (2 * example.clip.width, cameras * example.clip.height)
+    );
     let gain = |role: CameraRole, frames: &[u32]| {
         let (before, after) = (
             psnr(example, &example.field, role, frames),

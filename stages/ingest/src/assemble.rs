@@ -208,6 +208,10 @@ fn choose_cameras(source: &mut Source, params: &Params) -> StageResult<Vec<Optio
             source.cameras.push(camera);
         }
     }
+    for choice in params.cameras.iter().filter(|choice| choice.held_out) {
+        let own = source.cameras.iter_mut().filter(|camera| camera.id == choice.id);
+        own.for_each(|camera| camera.role = CameraRole::Evaluation);
+    }
     source.cameras.sort_by_key(|camera| camera.role != CameraRole::Source);
     if !source.cameras.iter().any(|camera| camera.role == CameraRole::Source) {
         return Err(StageError::bad_input(format!(

@@ -200,6 +200,9 @@ pub struct CameraChoice {
     pub id: String,
     /// Name in the episode.
     pub from: String,
+    /// Nothing is reconstructed from its images: views from it are compared with them.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub held_out: bool,
 }
 
 /// Where states are in tables that do not follow the usual names.
@@ -342,8 +345,8 @@ pub enum IdleSteps {
     Drop,
 }
 
-fn is_default(droid: &DroidParams) -> bool {
-    *droid == DroidParams::default()
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
 }
 
 /// A selector that is all digits may come as a number.

@@ -11,7 +11,7 @@ use rogs_ingest::{CameraChoice, Params, QueryChoice, QueryPlanName, list_episode
 use rogs_needs::needs;
 use rogs_schemas::episode::{Episode, EpisodeMount};
 use rogs_schemas::protocol::FailureCode;
-use rogs_schemas::records::clip::{CameraMount, CameraRole};
+use rogs_schemas::records::clip::{CameraMount, CameraRole, SourceView};
 use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::{CameraIndex, EpisodeFrame, FrameIndex, WrittenPose};
 
@@ -141,6 +141,7 @@ fn parameters_choose_frames_queries_and_cameras() {
     let choice = |id: &str, from: &str| CameraChoice {
         id: id.into(),
         from: from.into(),
+        held_out: false,
     };
     let chosen = Params {
         start_frame: Some(EpisodeFrame(1)),
@@ -176,6 +177,23 @@ fn parameters_choose_frames_queries_and_cameras() {
         "{warnings:?}"
     );
     assert!(clip.tracks.is_none());
+    // A camera may be held out: its images are those that views are compared with, and nobody observes them.
+    let mut apart = chosen.clone();
+    apart.cameras = vec![choice("wrist", "wrist"), choice("ext1", "ext1")];
+    apart.cameras[0].held_out = true;
+    let (clip, _) = read_clip(&scratch.0, None, &apart, "c").unwrap();
+    let roles: Vec<_> = clip.cameras.iter().map(|own| (own.id.as_str(), own.role)).collect();
+    assert_eq!(
+        roles,
+        [("ext1", CameraRole::Source), ("wrist", CameraRole::Evaluation)],
+        "sources come first"
+    );
+    let (camera, frame) = (CameraIndex(1), FrameIndex(4));
+    assert!(clip.target(camera, frame).is_some());
+    assert!(clip.observation(SourceView { camera, frame }).is_none());
+    apart.cameras[1].held_out = true;
+    let error = read_clip(&scratch.0, None, &apart, "c").unwrap_err();
+    assert!(error.message.contains("has no source camera"), "{error}");
     let late = Params {
         start_frame: Some(EpisodeFrame(10)),
         ..params()

@@ -232,6 +232,7 @@ fn lerobot_v21_with_av1_goes_as_far_as_its_data() {
     let cameras = vec![CameraChoice {
         id: "wrist".into(),
         from: "cam_high".into(),
+        held_out: false,
     }];
     let (clip, _) = read_clip(
         &root,

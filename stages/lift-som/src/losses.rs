@@ -59,6 +59,8 @@ pub(crate) struct Said {
     pub(crate) screen: Vec<f32>,
     /// Samples in which each Gaussian was seen. `[N]`
     pub(crate) seen: Vec<f32>,
+    /// Images of the samples, their band white. `[samples]` of `[H, W, 3]`
+    pub(crate) images: Vec<Vec<f32>>,
 }
 
 /// How a scene is rendered: over white, in metres.
@@ -101,7 +103,10 @@ pub(crate) fn loss(observed: &Observed, scene: &Scene, batch: &[Sample]) -> Stag
             Ok((gradient, tape.visible()))
         })
         .collect::<StageResult<_>>()?;
-    batch.collect(value, &gradients)
+    let mut said = batch.collect(value, &gradients)?;
+    let frames = batch.frames_of();
+    said.images = frames.zip(&renders).map(|(frame, render)| frame.painted(&render.rgb)).collect();
+    Ok(said)
 }
 
 /// A batch with the foreground at all frames that it needs.
@@ -363,6 +368,7 @@ impl<'a> Batch<'a> {
             gradient: self.scene.zeros(),
             screen: vec![0.0; count],
             seen: vec![0.0; count],
+            images: Vec::new(),
         };
         let mut at: Vec<At> = (self.frames.iter())
             .map(|&frame| At {

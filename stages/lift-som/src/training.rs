@@ -2,7 +2,10 @@
 
 use std::path::Path;
 
+use rogs_arrays::png_bytes;
+use rogs_optimise::Watched;
 use rogs_schemas::ClipId;
+use rogs_schemas::interim::Figures;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::{NamedArray, WeightsInfo};
 use rogs_schemas::records::motion_bases::{BasisGaussians, MotionBasisField};
@@ -11,6 +14,7 @@ use rogs_schemas::records::robot::RobotMaps;
 use rogs_worker::{Observer, Part, StageError, StageResult};
 
 use crate::initial::{self, draw, purpose};
+use crate::internal;
 use crate::losses::{Sample, loss};
 use crate::observed::Observed;
 use crate::params::LiftSomParams;
@@ -71,12 +75,14 @@ pub fn reconstruct(
     let share = 1.0 / cameras.len() as f64;
     for (number, observed) in seen.iter().enumerate().skip(fields.len()) {
         let part = Part::new(observer, number as f64 * share, share);
+        let watched = Watched::new(observed.len(), observed.height, observed.width);
         let mut fitting = Fitting {
             observed,
             params,
             clip: &clip.clip_id,
             camera: number as u64,
             fields: &fields,
+            watched,
             observer: &mut part.named(observed.id.clone()),
         };
         let done = fitting.run(state.take())?;
@@ -109,6 +115,8 @@ struct Fitting<'a> {
     camera: u64,
     /// Cameras that are done.
     fields: &'a [BasisGaussians],
+    /// Its frames as they were last rendered. No update depends on it.
+    watched: Watched,
     observer: &'a mut dyn Observer,
 }
 
@@ -120,28 +128,52 @@ impl Fitting<'_> {
             None => self.begin()?,
         };
         while state.updates < updates {
-            let said = loss(self.observed, &state.scene, &self.batch(state.updates))?;
+            let batch = self.batch(state.updates);
+            let said = loss(self.observed, &state.scene, &batch)?;
+            self.watch(&batch, &said.images)?;
             for (to, from) in [(&mut state.screen, &said.screen), (&mut state.seen, &said.seen)] {
                 add(to, 1.0, from);
             }
             state.update(&said.gradient)?;
             state.control()?;
             let done = state.updates;
+            let figures = Figures {
+                part: None,
+                update: done,
+                updates,
+                loss: said.value,
+                source_psnr_db: self.watched.psnr_db(),
+            };
             if done.is_multiple_of(10) {
                 let share = f64::from(done) / f64::from(updates);
-                let what = format!(
-                    "update {done} of {updates}, loss {:.4}, {} Gaussians",
-                    said.value,
-                    state.scene.len()
-                );
+                let what = format!("{}, {} Gaussians", figures.words(), state.scene.len());
                 self.observer
                     .progress(TRACKS_SHARE + (1.0 - TRACKS_SHARE) * share, &what);
             }
             if done.is_multiple_of(KEEP_EVERY) && done < updates {
                 self.keep(&state)?;
+                self.show(&figures)?;
             }
         }
         Ok(state)
+    }
+
+    /// Notes how well the frames of a batch were rendered.
+    fn watch(&mut self, batch: &[Sample], images: &[Vec<f32>]) -> StageResult<()> {
+        let observed = self.observed;
+        let pairs = batch.iter().zip(images);
+        let views: Vec<_> = pairs
+            .map(|(own, image)| (own.frame, image.as_slice(), observed.frames[own.frame].target.as_slice()))
+            .collect();
+        self.watched.see(&views).map_err(internal)
+    }
+
+    /// Shows how far the camera is.
+    fn show(&mut self, figures: &Figures) -> StageResult<()> {
+        if let Some((size, rgb)) = self.watched.picture() {
+            self.observer.show(figures, &png_bytes(size, &rgb).map_err(internal)?);
+        }
+        Ok(())
     }
 
     /// The scene before the first image is rendered.

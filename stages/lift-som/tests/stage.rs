@@ -11,6 +11,7 @@ use rogs_arrays::{NamedArray, npy_bytes, write_npz};
 use rogs_lift_som::{ClipInputs, LiftSomParams, reconstruct};
 use rogs_optimise::MotionBases;
 use rogs_optimise::bases::{move_gaussians, shares};
+use rogs_schemas::interim::Figures;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::motion_bases::{BasisGaussians, MotionBasisField};
 use rogs_schemas::records::progress::Progress;
@@ -172,6 +173,7 @@ fn a_field_does_not_depend_on_the_number_of_threads() {
 #[derive(Default)]
 struct Killed {
     kept: Vec<Progress>,
+    shown: Vec<Figures>,
     after: usize,
 }
 
@@ -182,6 +184,11 @@ impl Observer for Killed {
             return Err(StageError::io("killed"));
         }
         Ok(())
+    }
+
+    fn show(&mut self, figures: &Figures, picture_png: &[u8]) {
+        assert!(picture_png.starts_with(b"\x89PNG"));
+        self.shown.push(figures.clone());
     }
 }
 
@@ -203,6 +210,14 @@ fn a_killed_job_goes_on_to_the_same_bytes() {
         .map(|progress| [counter(progress, "cameras"), counter(progress, "updates")])
         .collect();
     assert_eq!(told[..5], [[0, 0], [0, 100], [0, 200], [0, 300], [1, 0]]);
+    // Whoever watches sees each camera, and the images get better.
+    let shown: Vec<(&str, u32, u32)> = (whole.shown.iter())
+        .map(|own| (own.part.as_deref().unwrap(), own.update, own.updates))
+        .collect();
+    let of = |camera: &'static str| [100, 200, 300].map(|update| (camera, update, 306));
+    assert_eq!(shown, [of("ext1"), of("ext2")].concat());
+    let psnr = |number: usize| whole.shown[number].source_psnr_db.unwrap();
+    assert!(psnr(2) > psnr(0) + 0.5 && psnr(0) > 10.0, "{} {}", psnr(0), psnr(2));
     for after in [1, 3, 7] {
         let mut killed = Killed {
             after,

@@ -129,6 +129,8 @@ fn of_field(args: &Args) -> anyhow::Result<(String, Clips, Option<RobotMesh>)> {
         field: field.clone(),
         refinement: args.refinement.clone().or_else(|| made_of_it("field-2.r4c")),
         fitted: made_of_it("field-fit.r4c"),
+        polynomial: None,
+        motion_bases: None,
         clip: beside(&args.beside.clip_file, "clip.r4c"),
         robot: beside(&args.beside.robot, "robot.r4c"),
     };

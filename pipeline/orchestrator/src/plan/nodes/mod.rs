@@ -1,6 +1,8 @@
 //! The nodes of a plan: stages with their parameters and where their inputs come from, for the run, its variants and
 //! outside methods.
 
+mod baselines;
+
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
@@ -12,12 +14,10 @@ use serde_json::{Map, Value};
 use super::model::{InputSource, Node, NodeInput, PlannedSource};
 use crate::diagnose::{At, Text, path_hint, shown};
 use crate::error::{Error, Result};
-use crate::manifest::{Baseline, Chosen, Manifest, Params, Prediction, SEEDED, Setting, Variant};
+use crate::manifest::{Baseline, Chosen, Manifest, Params, Prediction, Setting, Variant};
 use crate::programs::StagePrograms;
 use crate::sources::SourceCache;
-use crate::stage::{
-    BASELINES, BaselineSpec, Filled, Fixed, OUTSIDE, Output, Outside, Provider, StageId, WeightsRole, When,
-};
+use crate::stage::{BASELINES, BaselineSpec, Filled, OUTSIDE, Output, Outside, Provider, StageId, WeightsRole, When};
 
 /// Makes the nodes of the run, of its variants, and of outside methods. What variants have in common is one node.
 ///
@@ -69,19 +69,7 @@ pub(super) fn make_nodes(
             builder.add_outside(chain, method, main)?;
         }
     }
-    for (index, baseline) in manifest.baselines.iter().enumerate() {
-        let Some(spec) = BaselineSpec::by_method(&baseline.method) else {
-            continue;
-        };
-        for (setting, beside, main) in &mains {
-            let chain = Chain {
-                column: Column::Baseline(index, baseline, spec),
-                setting: *setting,
-                beside: *beside,
-            };
-            builder.add_baseline(chain, baseline, spec, main)?;
-        }
-    }
+    builder.add_baselines(&mains)?;
     Ok(builder.nodes)
 }
 
@@ -97,10 +85,7 @@ fn wanted(manifest: &Manifest) -> Vec<StageId> {
         Some(true) => wanted.push(StageId::Agreement),
         None => {}
     }
-    for spec in (manifest.baselines.iter()).filter_map(|own| BaselineSpec::by_method(&own.method)) {
-        let outputs = spec.lift.spec().outputs.iter();
-        wanted.extend(outputs.flat_map(|output| spec.lift.spec().producers(output)));
-    }
+    wanted.extend(baselines::producers(manifest));
     let scored = !manifest.baselines.is_empty();
     let asks = |stage| manifest.asks(stage) || manifest.variants.iter().any(|variant| variant.asks(stage));
     // A stage that reads it under a condition reads it where some column meets that.
@@ -363,75 +348,6 @@ impl<'a> Builder<'a> {
         overlay(&mut params, &serde_json::json!({ *options: method.options() }));
         let node = self.node(stage, output, chain, params, main)?;
         self.nodes.push(node);
-        Ok(())
-    }
-
-    /// Adds the nodes that make and score the field of a baseline.
-    fn add_baseline(
-        &mut self,
-        chain: Chain<'a>,
-        baseline: &'a Baseline,
-        spec: &'static BaselineSpec,
-        main: &Made,
-    ) -> Result<()> {
-        for &(_, role) in spec.weights {
-            let given = self.manifest.weights.get(role);
-            if given.is_none_or(|given| matches!(given, Chosen::Word(word) if word != SEEDED)) {
-                let at = match chain.column {
-                    Column::Baseline(index, ..) => At::key("baselines").item(index),
-                    _ => At::key("baselines"),
-                };
-                let (words, key) = (spec.words, role.key());
-                let found = match given {
-                    Some(Chosen::Word(word)) => format!("there are none of the name `{word}` in this program"),
-                    _ => format!("[weights] has no `{key}`"),
-                };
-                let error = self.text.error(at, format!("{words} needs weights: {found}"));
-                return Err(error.with_hint(format!(
-                    "name its imported checkpoint, {key} = \"FILE\" (docs/baselines.md); {key} = \"{SEEDED}\" runs it with random \
-                     values, which say nothing about {words}"
-                )));
-            }
-        }
-        let mut made = main.clone();
-        for (stage, given, fixed) in [
-            (spec.lift, &baseline.lift, spec.fixed),
-            (spec.score, &baseline.score, &[]),
-        ] {
-            let defaults = self.defaults(stage)?;
-            self.check_table(chain.at(stage), given, &defaults)?;
-            if let Some((name, _)) = fixed.iter().find(|(name, _)| given.contains_key(*name)) {
-                let message = format!(
-                    "`{name}` is part of what makes {} a baseline, and is not set",
-                    spec.words
-                );
-                return Err(self.text.error(chain.at(stage).then(name), message));
-            }
-            // What the run says of scoring holds for all that is scored; its own lifting is another method.
-            let mut params = Value::Object(match stage == spec.score {
-                true => self.manifest.params(stage).clone(),
-                false => Params::new(),
-            });
-            overlay(&mut params, &Value::Object(given.clone()));
-            for (name, value) in fixed {
-                let value = match value {
-                    Fixed::Word(word) => Value::from(*word),
-                    Fixed::Off => Value::from(false),
-                };
-                overlay(&mut params, &serde_json::json!({ *name: value }));
-            }
-            let outputs = stage.spec().outputs.iter();
-            let output = if stage == spec.score {
-                Some(&spec.output)
-            } else {
-                outputs.into_iter().next()
-            };
-            if let Some(output) = output {
-                let node = self.node(stage, output, chain, params, &made)?;
-                let node = self.add(node);
-                made.insert(stage, node);
-            }
-        }
         Ok(())
     }
 
