@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 use rogs_export::scene::{
-    COLOUR_STEP, LinkMesh, POSITION_STEP_M, ROTATION_STEP, SCALE_STEP, Scene, SceneCamera, SceneHead, ScenePicture,
-    SceneWriter,
+    COLOUR_STEP, LinkMesh, Moment, Moments, POSITION_STEP_M, ROTATION_STEP, SCALE_STEP, Scene, SceneCamera, SceneHead,
+    ScenePicture, SceneWriter,
 };
 use rogs_export::{Error, Result};
 use rogs_schemas::units::LengthUnit;
@@ -173,6 +173,66 @@ fn what_cannot_be_drawn_is_hidden() {
 #[test]
 fn the_same_gaussians_give_the_same_bytes() {
     assert_eq!(write(1, 3).unwrap(), write(1, 3).unwrap());
+}
+
+/// Gaussians that say which of them may look different; one that does not is not finite at a time.
+struct Marked {
+    gaussians: Gaussians,
+    open: Vec<u8>,
+}
+
+impl Moments for Marked {
+    type Error = Error;
+
+    fn at(&mut self, time: usize) -> Result<Moment<'_>> {
+        self.gaussians = marked(time);
+        // Some are open that look the same as ever.
+        self.open = (0..COUNT)
+            .map(|n| u8::from((n.is_multiple_of(7) && time > 0) || n.is_multiple_of(11)))
+            .collect();
+        Ok(Moment {
+            gaussians: &self.gaussians,
+            open: Some(&self.open),
+        })
+    }
+}
+
+fn marked(time: usize) -> Gaussians {
+    let mut own = at(time, 1);
+    if time == 1 {
+        own.means[3 * 8] = f32::NAN;
+    }
+    own
+}
+
+#[test]
+fn what_is_known_to_look_the_same_saves_time_and_no_bytes() {
+    for times in [vec![0.0, 0.25, 1.0], vec![0.0, 0.5], vec![0.0]] {
+        let mut head = head();
+        head.times.clone_from(&times);
+        head.cameras[0].recon_from_camera.truncate(times.len());
+        head.recon_from_link.truncate(times.len());
+        let writer = SceneWriter {
+            head: &head,
+            link_of: &[],
+            meshes: &[],
+            pictures: &[],
+            unit: LengthUnit::Metre,
+            most_degree: 1,
+        };
+        let plain = writer.bytes(|time| Ok::<_, Error>(marked(time))).unwrap();
+        let mut moments = Marked {
+            gaussians: Gaussians::empty(),
+            open: Vec::new(),
+        };
+        assert!(writer.bytes_of(&mut moments).unwrap() == plain);
+        let scene = Scene::parse(&plain).unwrap();
+        for time in 0..times.len() {
+            let told = scene.gaussians(time).unwrap();
+            let hidden = told.opacities.iter().filter(|opacity| **opacity == 0.0).count();
+            assert_eq!(hidden, usize::from(time == 1));
+        }
+    }
 }
 
 #[test]

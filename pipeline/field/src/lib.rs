@@ -34,4 +34,4 @@ pub use ply::{Axes, export_field, gaussians_in, read_ply, read_ply_file, write_p
 pub use ply_packed::write_packed_ply;
 pub use ply_scene::PlyScene;
 pub use polynomial::PolynomialState;
-pub use timed::TimedField;
+pub use timed::{TimedField, Turned};

@@ -6,10 +6,10 @@
 
 use rayon::prelude::*;
 use rogs_geometry::{Base, Pose, Recon};
-use rogs_schemas::CameraIndex;
 use rogs_schemas::records::field::{Field, RAW_CHANNELS, TimeSlice};
 use rogs_schemas::records::refinement::{RESIDUAL_CHANNELS, Refinement, RefinementStep, ScaleResidual};
 use rogs_schemas::units::iu_from_m;
+use rogs_schemas::{CameraIndex, ClipId};
 use rogs_splat::{Colour, Gaussians, sh};
 
 use crate::attributes::{MIN_LINEAR_SCALE_IU, colour, opacity_logit, scale_below_iu, sigmoid};
@@ -134,36 +134,38 @@ impl<'a> TimedField<'a> {
     /// # Errors
     /// When the time is not stored.
     pub fn gaussians(&self, time: f64) -> Result<Gaussians> {
+        let mut turned = Turned::default();
+        self.turn(time, &mut turned)?;
+        Ok(turned.gaussians)
+    }
+
+    /// Turns the Gaussians of one time to another one, as [`TimedField::gaussians`] gives them. Attributes are activated anew
+    /// only where a gate is open, or was: with a closed one they are the same at all times.
+    ///
+    /// # Errors
+    /// When the time is not stored.
+    pub fn turn(&self, time: f64, turned: &mut Turned) -> Result<()> {
         let slice = self.slice(time)?;
         let field = self.field;
-        let n = field.len();
-        let moving = starts(&slice.gate, RAW_CHANNELS);
         let touched = self
             .correction
             .map(|(step, _)| starts(&step.touched, RESIDUAL_CHANNELS));
-        let degree = self.correction.map_or(0, |(step, _)| highest_degree(step));
-        let colours = if self.correction.is_some() {
-            3 * sh::coefficient_count(degree)
-        } else {
-            3
+        let is_new = turned.begin(self);
+        let moving = starts(&slice.gate, RAW_CHANNELS);
+        let colours = turned.gaussians.colour.values_per_gaussian();
+        let Turned { gaussians, open, .. } = turned;
+        let colour = match &mut gaussians.colour {
+            Colour::Rgb(values) => values,
+            Colour::Sh { coefficients, .. } => coefficients,
         };
-        let mut out = Gaussians {
-            means: vec![0.0; 3 * n],
-            quats: vec![0.0; 4 * n],
-            scales: vec![0.0; 3 * n],
-            opacities: vec![0.0; n],
-            colour: Colour::Rgb(Vec::new()),
-            extra: Vec::new(),
-            extra_channels: 0,
-        };
-        let mut colour = vec![0.0; colours * n];
-        (out.means.par_chunks_mut(3 * CHUNK))
-            .zip(out.quats.par_chunks_mut(4 * CHUNK))
-            .zip(out.scales.par_chunks_mut(3 * CHUNK))
-            .zip(out.opacities.par_chunks_mut(CHUNK))
+        (gaussians.means.par_chunks_mut(3 * CHUNK))
+            .zip(gaussians.quats.par_chunks_mut(4 * CHUNK))
+            .zip(gaussians.scales.par_chunks_mut(3 * CHUNK))
+            .zip(gaussians.opacities.par_chunks_mut(CHUNK))
             .zip(colour.par_chunks_mut(colours * CHUNK))
+            .zip(open.par_chunks_mut(CHUNK))
             .enumerate()
-            .for_each(|(chunk, ((((means, quats), scales), opacities), colour))| {
+            .for_each(|(chunk, (((((means, quats), scales), opacities), colour), open))| {
                 let first = chunk * CHUNK;
                 let mut moving = slice.moving_raw[moving[chunk]..].chunks_exact(RAW_CHANNELS);
                 let mut residuals = self.correction.zip(touched.as_ref()).map(|((step, scale), starts)| {
@@ -175,9 +177,6 @@ impl<'a> TimedField<'a> {
                 });
                 for local in 0..opacities.len() {
                     let index = first + local;
-                    let mut raw = [0.0; RAW_CHANNELS];
-                    raw.copy_from_slice(&field.base_raw[RAW_CHANNELS * index..][..RAW_CHANNELS]);
-                    gates::choose_next(slice.gate[index], &mut moving, &mut raw);
                     let residual = residuals.as_mut().and_then(|(step, scale, values)| {
                         if step.touched[index] == 0 {
                             None
@@ -185,12 +184,20 @@ impl<'a> TimedField<'a> {
                             values.next().map(|v| (v, *scale))
                         }
                     });
-                    let one = activate(&raw, field.scale_cap_iu[index], residual);
                     for k in 0..3 {
                         let delta = residual.map_or(0.0, |(v, _)| v[k]);
                         let centre = (field.position_m[3 * index + k] + delta) + slice.displacement_m[3 * index + k];
                         means[3 * local + k] = iu_from_m(centre);
                     }
+                    let gate = slice.gate[index];
+                    let was_open = std::mem::replace(&mut open[local], gate) != 0;
+                    if !(is_new || was_open || gate != 0) {
+                        continue;
+                    }
+                    let mut raw = [0.0; RAW_CHANNELS];
+                    raw.copy_from_slice(&field.base_raw[RAW_CHANNELS * index..][..RAW_CHANNELS]);
+                    gates::choose_next(gate, &mut moving, &mut raw);
+                    let one = activate(&raw, field.scale_cap_iu[index], residual);
                     quats[4 * local..4 * local + 4].copy_from_slice(&one.quat);
                     scales[3 * local..3 * local + 3].copy_from_slice(&one.scale);
                     opacities[local] = one.opacity;
@@ -202,14 +209,7 @@ impl<'a> TimedField<'a> {
                     }
                 }
             });
-        out.colour = match self.correction {
-            Some(_) => Colour::Sh {
-                degree,
-                coefficients: colour,
-            },
-            None => Colour::Rgb(colour),
-        };
-        Ok(out)
+        Ok(())
     }
 
     /// Displacement of every Gaussian from one stored time to another, `d(to) - d(from)`, metres, reconstruction frame.
@@ -239,6 +239,69 @@ impl<'a> TimedField<'a> {
             extra_channels: 3,
             ..self.gaussians(time)?
         })
+    }
+}
+
+/// The Gaussians of a field at one of its times, ready to be turned to others ([`TimedField::turn`]).
+#[derive(Debug, Clone)]
+pub struct Turned {
+    /// What they are of: clip, number, and number of updates where there are corrections.
+    of: Option<(ClipId, usize, Option<u32>)>,
+    gaussians: Gaussians,
+    /// Gates at their time. `[N]`
+    open: Vec<u8>,
+}
+
+impl Default for Turned {
+    fn default() -> Self {
+        Self {
+            of: None,
+            gaussians: Gaussians::empty(),
+            open: Vec::new(),
+        }
+    }
+}
+
+impl Turned {
+    /// The Gaussians, internal units, reconstruction frame.
+    #[must_use]
+    pub fn gaussians(&self) -> &Gaussians {
+        &self.gaussians
+    }
+
+    /// Of every Gaussian, not 0 where its attributes are those of this time; the others have the same at all times.
+    #[must_use]
+    pub fn open(&self) -> &[u8] {
+        &self.open
+    }
+
+    /// Makes room for the Gaussians of a field, unless they are there already; whether they were not.
+    fn begin(&mut self, field: &TimedField<'_>) -> bool {
+        let n = field.field.len();
+        let update = field.correction.map(|(step, _)| step.update);
+        let of = Some((field.field.clip_id.clone(), n, update));
+        if self.of == of {
+            return false;
+        }
+        let degree = field.correction.map(|(step, _)| highest_degree(step));
+        self.gaussians = Gaussians {
+            means: vec![0.0; 3 * n],
+            quats: vec![0.0; 4 * n],
+            scales: vec![0.0; 3 * n],
+            opacities: vec![0.0; n],
+            colour: match degree {
+                Some(degree) => Colour::Sh {
+                    degree,
+                    coefficients: vec![0.0; 3 * sh::coefficient_count(degree) * n],
+                },
+                None => Colour::Rgb(vec![0.0; 3 * n]),
+            },
+            extra: Vec::new(),
+            extra_channels: 0,
+        };
+        self.open = vec![0; n];
+        self.of = of;
+        true
     }
 }
 
@@ -394,6 +457,23 @@ mod tests {
                 assert_eq!(f64::from(gaussians.quats[4 * n + k]), raw[6 + k]);
             }
         }
+    }
+
+    #[test]
+    fn turned_from_another_time_gaussians_have_the_same_bits() {
+        let field = field();
+        let step = step(|k| ((k % RESIDUAL_CHANNELS) as f32 + 1.0) * 1e-3);
+        let plain = TimedField::new(&field).unwrap();
+        let corrected = plain.with_correction(&step, ScaleResidual::PreActivation).unwrap();
+        let mut turned = Turned::default();
+        for timed in [plain, corrected, plain] {
+            for time in [0.0, 0.5, 0.0, 0.5] {
+                timed.turn(time, &mut turned).unwrap();
+                assert_eq!(*turned.gaussians(), timed.gaussians(time).unwrap());
+                assert_eq!(turned.open(), field.slice_at(time).unwrap().gate);
+            }
+        }
+        assert!(plain.turn(0.3, &mut turned).is_err());
     }
 
     #[test]

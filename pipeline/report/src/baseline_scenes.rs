@@ -86,7 +86,8 @@ impl PolynomialScene {
             out.scales.extend_from_slice(&self.field.scale_m[3 * at..3 * at + 3]);
             match state.kept.binary_search(&index) {
                 Ok(row) => {
-                    out.quats.extend_from_slice(&state.gaussians.quats[4 * row..4 * row + 4]);
+                    out.quats
+                        .extend_from_slice(&state.gaussians.quats[4 * row..4 * row + 4]);
                     out.opacities.push(state.gaussians.opacities[row]);
                     colours.extend_from_slice(&rgb[3 * row..3 * row + 3]);
                 }

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use rogs_export::scene::{LinkMesh, SceneCamera, SceneHead, ScenePicture, SceneWriter};
-use rogs_field::TimedField;
+use rogs_export::scene::{LinkMesh, Moment, Moments, SceneCamera, SceneHead, ScenePicture, SceneWriter};
+use rogs_field::{TimedField, Turned};
 use rogs_geometry::{Base, Link, Pose, PosedCamera, Recon};
 use rogs_r4c::{FieldFile, read_record, read_refinement_of};
 use rogs_robot::{Mesh, MeshScene, RobotModel, names};
@@ -16,7 +16,6 @@ use rogs_schemas::records::robot::{RobotMaps, RobotSpec};
 use rogs_schemas::units::LengthUnit;
 use rogs_schemas::{CameraIndex, ClipId, FrameIndex};
 use rogs_score::outside::OutsideError;
-use rogs_splat::Gaussians;
 
 use crate::baseline_scenes::{MotionBasisScene, PolynomialScene};
 use crate::pictures::photograph;
@@ -188,7 +187,7 @@ pub fn scenes_of(
     let recon_from_base: Pose<Recon, Base> = Pose::from_rigid(&field.held.recon_from_base)?;
     let links = field.held.link.clone();
     let mut scenes: Vec<(&'static str, Vec<u8>)> = Vec::new();
-    let mut add = |name: &'static str, link_of: &[u8], unit, at: At<'_>| {
+    let mut add = |name: &'static str, link_of: &[u8], unit, write: Write<'_>| {
         head.name = name.to_owned();
         // The viewer takes what scenes have in common from the first one.
         let first = scenes.is_empty();
@@ -200,15 +199,17 @@ pub fn scenes_of(
             unit,
             most_degree: DEGREE,
         };
-        scenes.push((name, writer.bytes(at)?));
+        scenes.push((name, write(&writer)?));
         Ok::<_, SceneError>(())
     };
     let own = LengthUnit::Internal;
-    add(STAGE_1, &links, own, &mut |time| field.gaussians(time, None))?;
+    add(STAGE_1, &links, own, &mut |writer| {
+        writer.bytes_of(&mut OverTime::new(&mut field, None, &times))
+    })?;
     if let Some(path) = &files.refinement {
         let refinement = read_refinement_of(path, field.file.key())?;
-        add(STAGE_2, &links, own, &mut |time| {
-            field.gaussians(time, Some(&refinement))
+        add(STAGE_2, &links, own, &mut |writer| {
+            writer.bytes_of(&mut OverTime::new(&mut field, Some(&refinement), &times))
         })?;
     }
     if let Some(path) = &files.fitted {
@@ -218,27 +219,31 @@ pub fn scenes_of(
             return Err(SceneError::OtherTimes);
         }
         let links = fitted.held.link.clone();
-        add(FITTED, &links, own, &mut |time| fitted.gaussians(time, None))?;
+        add(FITTED, &links, own, &mut |writer| {
+            writer.bytes_of(&mut OverTime::new(&mut fitted, None, &times))
+        })?;
     }
     if let Some(path) = &files.polynomial {
         let (made, _) = read_record::<PolynomialField>(path)?;
         same_clip(&made.clip_id, &field)?;
         let scene = PolynomialScene::new(made.gaussians, fps, recon_from_base);
-        add(FOUR_DGT, &[], LengthUnit::Metre, &mut |time| Ok(scene.at(frames[time])))?;
+        add(FOUR_DGT, &[], LengthUnit::Metre, &mut |writer| {
+            writer.bytes(|time| Ok::<_, SceneError>(scene.at(frames[time])))
+        })?;
     }
     if let Some(path) = &files.motion_bases {
         let (made, _) = read_record::<MotionBasisField>(path)?;
         same_clip(&made.clip_id, &field)?;
         let scene = MotionBasisScene::new(made, recon_from_base)?;
-        add(SHAPE_OF_MOTION, &[], LengthUnit::Metre, &mut |time| {
-            Ok(scene.at(frames[time])?)
+        add(SHAPE_OF_MOTION, &[], LengthUnit::Metre, &mut |writer| {
+            writer.bytes(|time| Ok::<_, SceneError>(scene.at(frames[time])?))
         })?;
     }
     Ok(scenes)
 }
 
-/// Gives the Gaussians at a stored time, by its index.
-type At<'a> = &'a mut dyn FnMut(usize) -> Result<Gaussians, SceneError>;
+/// Makes the bytes of a scene by a writer of it.
+type Write<'a> = &'a mut dyn FnMut(&SceneWriter<'_>) -> Result<Vec<u8>, SceneError>;
 
 /// Refuses a file of another clip than that of the field.
 fn same_clip(found: &ClipId, field: &OneTime) -> Result<(), SceneError> {
@@ -265,17 +270,6 @@ impl OneTime {
         Ok(Self { file, held })
     }
 
-    /// The Gaussians at a stored time, by its index, with corrections where there are some.
-    fn gaussians(&mut self, time: usize, refinement: Option<&Refinement>) -> Result<Gaussians, SceneError> {
-        let at = self.file.times()[time];
-        let timed = TimedField::new(self.turned_to(time)?)?;
-        let timed = match refinement {
-            Some(refinement) => timed.with_refinement(refinement)?,
-            None => timed,
-        };
-        Ok(timed.gaussians(at)?)
-    }
-
     /// The field with the slice of a stored time, by its index.
     fn turned_to(&mut self, time: usize) -> Result<&Field, SceneError> {
         let wanted = self.file.times().get(time);
@@ -284,6 +278,42 @@ impl OneTime {
             self.held.slices.push(self.file.slice(time)?);
         }
         Ok(&self.held)
+    }
+}
+
+/// A field with its corrections, turned from time to time.
+struct OverTime<'a> {
+    field: &'a mut OneTime,
+    refinement: Option<&'a Refinement>,
+    times: &'a [f64],
+    turned: Turned,
+}
+
+impl<'a> OverTime<'a> {
+    fn new(field: &'a mut OneTime, refinement: Option<&'a Refinement>, times: &'a [f64]) -> Self {
+        Self {
+            field,
+            refinement,
+            times,
+            turned: Turned::default(),
+        }
+    }
+}
+
+impl Moments for OverTime<'_> {
+    type Error = SceneError;
+
+    fn at(&mut self, time: usize) -> Result<Moment<'_>, SceneError> {
+        let timed = TimedField::new(self.field.turned_to(time)?)?;
+        let timed = match self.refinement {
+            Some(refinement) => timed.with_refinement(refinement)?,
+            None => timed,
+        };
+        timed.turn(self.times[time], &mut self.turned)?;
+        Ok(Moment {
+            gaussians: self.turned.gaussians(),
+            open: Some(self.turned.open()),
+        })
     }
 }
 

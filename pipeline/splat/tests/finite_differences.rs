@@ -8,7 +8,8 @@ mod common {
 
 use common::{random, room};
 use rogs_splat::{
-    Colour, Gaussians, Mode, RasterCamera, RasterConfig, RenderGradient, backward, backward_with_screen, render_with_tape,
+    Colour, Gaussians, Mode, RasterCamera, RasterConfig, RenderGradient, backward, backward_with_screen,
+    render_with_tape,
 };
 
 /// All inputs of a render as one vector of float64, in this order; last, what is added to the centres in the image.

@@ -144,7 +144,11 @@ impl Context<'_> {
     /// When writing fails.
     pub fn keep(&mut self, progress: &Progress) -> StageResult<()> {
         let start = Instant::now();
-        rogs_r4c::write_record(&interim::beside(self.output, interim::STATE), progress, &self.provenance)?;
+        rogs_r4c::write_record(
+            &interim::beside(self.output, interim::STATE),
+            progress,
+            &self.provenance,
+        )?;
         *self.seconds.entry("keep".to_owned()).or_default() += start.elapsed().as_secs_f64();
         Ok(())
     }

@@ -105,7 +105,10 @@ pub(crate) fn loss(observed: &Observed, scene: &Scene, batch: &[Sample]) -> Stag
         .collect::<StageResult<_>>()?;
     let mut said = batch.collect(value, &gradients)?;
     let frames = batch.frames_of();
-    said.images = frames.zip(&renders).map(|(frame, render)| frame.painted(&render.rgb)).collect();
+    said.images = frames
+        .zip(&renders)
+        .map(|(frame, render)| frame.painted(&render.rgb))
+        .collect();
     Ok(said)
 }
 

@@ -163,7 +163,13 @@ impl Fitting<'_> {
         let observed = self.observed;
         let pairs = batch.iter().zip(images);
         let views: Vec<_> = pairs
-            .map(|(own, image)| (own.frame, image.as_slice(), observed.frames[own.frame].target.as_slice()))
+            .map(|(own, image)| {
+                (
+                    own.frame,
+                    image.as_slice(),
+                    observed.frames[own.frame].target.as_slice(),
+                )
+            })
             .collect();
         self.watched.see(&views).map_err(internal)
     }

@@ -4,6 +4,7 @@
 //! the first one, and the attributes of those that look different at that time. [`SceneWriter`] makes a file,
 //! [`Scene::parse`] reads one back. Metres, reconstruction frame.
 
+mod looks;
 mod planes;
 mod quantised;
 mod read;
@@ -13,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 pub use quantised::{COLOUR_STEP, POSITION_STEP_M, ROTATION_STEP, SCALE_STEP, SMALLEST_SCALE_M};
 pub use read::{Scene, ScenePlane};
-pub use write::SceneWriter;
+pub use write::{Moment, Moments, SceneWriter};
 
 /// First bytes of a scene file.
 pub const SCENE_MAGIC: [u8; 8] = *b"ROGS4D\x1a\n";

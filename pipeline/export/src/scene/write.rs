@@ -4,7 +4,8 @@ use rayon::prelude::*;
 use rogs_schemas::units::LengthUnit;
 use rogs_splat::{Colour, Gaussians};
 
-use super::quantised::{ATTRIBUTES, Attributes, attributes, centre, harmonics};
+use super::looks::Looks;
+use super::quantised::{ATTRIBUTES, centre, harmonics};
 use super::{Header, LinkMesh, MOST_TIMES, SCENE_MAGIC, SCENE_VERSION, SceneHead, ScenePicture, Section, planes};
 use crate::error::{Error, Result};
 
@@ -25,28 +26,91 @@ pub struct SceneWriter<'a> {
     pub most_degree: usize,
 }
 
+/// The Gaussians of a time.
+#[derive(Debug, Clone, Copy)]
+pub struct Moment<'a> {
+    /// Row `n` is the same Gaussian every time.
+    pub gaussians: &'a Gaussians,
+    /// 0 for those whose attributes, centres aside, are the same at all times at which they are marked so; `None` where
+    /// nothing is known of it. `[N]`
+    pub open: Option<&'a [u8]>,
+}
+
+/// Gaussians over time.
+pub trait Moments {
+    /// Why there are none.
+    type Error: From<Error>;
+
+    /// The Gaussians at a time of the head (index). The first one is asked for twice.
+    ///
+    /// # Errors
+    /// When there are none.
+    fn at(&mut self, time: usize) -> Result<Moment<'_>, Self::Error>;
+}
+
+/// Gaussians made anew for every time.
+struct Every<F> {
+    at: F,
+    gaussians: Gaussians,
+}
+
+impl<E: From<Error>, F: FnMut(usize) -> Result<Gaussians, E>> Moments for Every<F> {
+    type Error = E;
+
+    fn at(&mut self, time: usize) -> Result<Moment<'_>, E> {
+        self.gaussians = (self.at)(time)?;
+        Ok(Moment {
+            gaussians: &self.gaussians,
+            open: None,
+        })
+    }
+}
+
 impl SceneWriter<'_> {
     /// The bytes of the scene. `at` gives the Gaussians at a time of the head (index), row `n` the same Gaussian every time;
-    /// it is asked twice for each time, so that never more than one time is held.
+    /// it is asked for each time in their order, for the first one twice, and never more than one time is held, besides what has changed.
     ///
     /// # Errors
     /// Those of `at`; when the number of Gaussians changes, or the parts of the head do not fit each other.
-    pub fn bytes<E: From<Error>>(&self, mut at: impl FnMut(usize) -> Result<Gaussians, E>) -> Result<Vec<u8>, E> {
+    pub fn bytes<E: From<Error>>(&self, at: impl FnMut(usize) -> Result<Gaussians, E>) -> Result<Vec<u8>, E> {
+        self.bytes_of(&mut Every {
+            at,
+            gaussians: Gaussians::empty(),
+        })
+    }
+
+    /// The same of Gaussians of which it is known where they may look different: the same bytes, in less time.
+    ///
+    /// # Errors
+    /// As [`SceneWriter::bytes`].
+    pub fn bytes_of<M: Moments>(&self, moments: &mut M) -> Result<Vec<u8>, M::Error> {
         self.check()?;
-        let mut file = Sections::default();
-        let first = at(0)?;
-        let count = first.len();
+        let first = moments.at(0)?;
+        let count = first.gaussians.len();
         if !self.link_of.is_empty() && self.link_of.len() != count {
             return Err(wrong(format!("{} links for {count} Gaussians", self.link_of.len())).into());
         }
-        let degree = match first.colour {
+        let degree = match first.gaussians.colour {
             Colour::Rgb(_) => 0,
             Colour::Sh { degree, .. } => degree.min(self.most_degree),
         };
-        let origin = centres(&first, self.unit);
-        let rest = harmonics(&first, degree);
-        let base = self.usual(first, &mut at)?;
-        file.add_all(&[("position", &origin, 3), ("attributes", &flat(&base), ATTRIBUTES)]);
+        let origin = centres(first.gaussians, self.unit);
+        let rest = harmonics(first.gaussians, degree);
+        let mut looks = Looks::new(count);
+        let mut moved = Vec::new();
+        for time in 0..self.head.times.len() {
+            let moment = moments.at(time)?;
+            same_count(&moment, count)?;
+            let way = || {
+                let mut way = centres(moment.gaussians, self.unit);
+                (way.iter_mut().zip(&origin)).for_each(|(now, first)| *now = now.wrapping_sub(*first));
+                planes::pack(&way, 3)
+            };
+            let (packed, ()) = rayon::join(way, || looks.see(&moment, self.unit));
+            moved.push(packed);
+        }
+        let mut file = Sections::default();
+        file.add_all(&[("position", &origin, 3), ("attributes", &looks.usual(), ATTRIBUTES)]);
         if degree > 0 {
             file.add("harmonics", &rest, 3 * ((degree + 1) * (degree + 1) - 1));
         }
@@ -55,25 +119,11 @@ impl SceneWriter<'_> {
             file.add("link", &links, 1);
         }
         self.add_meshes(&mut file);
-        for time in 0..self.head.times.len() {
-            let own = at(time)?;
-            same_count(&own, count)?;
-            let now = centres(&own, self.unit);
-            let moved: Vec<i32> = now
-                .iter()
-                .zip(&origin)
-                .map(|(now, first)| now.wrapping_sub(*first))
-                .collect();
-            let differs = |(index, base): (usize, &Attributes)| {
-                let attributes = attributes(&own, self.unit, index);
-                (attributes != *base).then_some((index as i32, attributes.map(i32::from)))
-            };
-            let changes: Vec<_> = base.par_iter().enumerate().filter_map(differs).collect();
-            let (rows, changed): (Vec<i32>, Vec<[i32; ATTRIBUTES]>) = changes.into_iter().unzip();
+        for (time, ((widths, packed), (rows, changed))) in moved.into_iter().zip(looks.changes()).enumerate() {
+            file.push(format!("moved/{time}"), count, widths, &packed);
             file.add_all(&[
-                (&format!("moved/{time}"), &moved, 3),
                 (&format!("rows/{time}"), &rows, 1),
-                (&format!("attributes/{time}"), changed.as_flattened(), ATTRIBUTES),
+                (&format!("attributes/{time}"), &changed, ATTRIBUTES),
             ]);
         }
         for picture in self.pictures {
@@ -111,43 +161,6 @@ impl SceneWriter<'_> {
         Ok(())
     }
 
-    /// The attributes that each Gaussian has most of the time: the value that outlives a vote in which every other one takes
-    /// a voice away (Boyer and Moore), which is the one of more than half of the times where there is such.
-    fn usual<E: From<Error>>(
-        &self,
-        first: Gaussians,
-        at: &mut impl FnMut(usize) -> Result<Gaussians, E>,
-    ) -> Result<Vec<Attributes>, E> {
-        let count = first.len();
-        let mut own = first;
-        let mut usual: Vec<Attributes> = Vec::new();
-        let mut voices = vec![0u16; count];
-        for time in 0..self.head.times.len() {
-            if time == 0 {
-                usual = (0..count)
-                    .into_par_iter()
-                    .map(|index| attributes(&own, self.unit, index))
-                    .collect();
-                voices.fill(1);
-                continue;
-            }
-            own = at(time)?;
-            same_count(&own, count)?;
-            let vote = |(index, (usual, voices)): (usize, (&mut Attributes, &mut u16))| {
-                let attributes = attributes(&own, self.unit, index);
-                if attributes == *usual {
-                    *voices += 1;
-                } else if *voices == 0 {
-                    (*usual, *voices) = (attributes, 1);
-                } else {
-                    *voices -= 1;
-                }
-            };
-            usual.par_iter_mut().zip(&mut voices).enumerate().for_each(vote);
-        }
-        Ok(usual)
-    }
-
     fn add_meshes(&self, file: &mut Sections) {
         for mesh in self.meshes {
             let steps = |value: &f32| libm::roundf(value / super::MESH_STEP_M) as i32;
@@ -159,14 +172,15 @@ impl SceneWriter<'_> {
     }
 }
 
-fn same_count(gaussians: &Gaussians, count: usize) -> Result<()> {
-    if gaussians.len() == count {
-        return Ok(());
+fn same_count(moment: &Moment<'_>, count: usize) -> Result<()> {
+    let found = moment.gaussians.len();
+    if found != count {
+        return Err(wrong(format!("{found} Gaussians at one time, {count} at another")));
     }
-    Err(wrong(format!(
-        "{} Gaussians at one time, {count} at another",
-        gaussians.len()
-    )))
+    match moment.open {
+        Some(open) if open.len() != count => Err(wrong(format!("{} marks for {count} Gaussians", open.len()))),
+        _ => Ok(()),
+    }
 }
 
 fn wrong(what: impl Into<String>) -> Error {
@@ -175,12 +189,14 @@ fn wrong(what: impl Into<String>) -> Error {
 
 /// Centres in steps. `[N, 3]`
 fn centres(gaussians: &Gaussians, unit: LengthUnit) -> Vec<i32> {
-    let rows = (0..gaussians.len()).into_par_iter();
-    rows.flat_map_iter(|index| centre(gaussians, unit, index)).collect()
-}
-
-fn flat(attributes: &[Attributes]) -> Vec<i32> {
-    attributes.iter().flatten().map(|&value| i32::from(value)).collect()
+    let mut out = vec![0; 3 * gaussians.len()];
+    let rows = out.par_chunks_mut(3 * 4096).enumerate();
+    rows.for_each(|(chunk, rows)| {
+        for (local, row) in rows.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+            *row = centre(gaussians, unit, 4096 * chunk + local);
+        }
+    });
+    out
 }
 
 /// Sections one behind the other.
