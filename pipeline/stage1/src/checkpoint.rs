@@ -95,14 +95,17 @@ pub fn read_stage1(file: TensorFile, device: &Device) -> Result<LoadedStage1> {
     })
 }
 
-/// Compares the tensors of a source with those a Stage-1 configuration has: all released ones are needed; the FK branch
-/// and low-rank updates may be there (whole).
+/// Compares the tensors of a source with those a Stage-1 configuration has: all released ones are needed; the FK branch,
+/// the gate of what is held and low-rank updates may be there (whole).
 #[must_use]
 pub fn verify_stage1(source: &dyn ParameterSource, config: &Stage1Config) -> Verification {
     let needed = layout::released(config);
     let mut optional = Vec::new();
     if source.shape("fk_branch.conv1.weight").is_some() {
         optional.extend(layout::fk_branch(config));
+    }
+    if source.shape("held.conv1.weight").is_some() {
+        optional.extend(layout::held());
     }
     if let Some(rank) = layout::lora_rank(source) {
         optional.extend(layout::lora(config, rank));

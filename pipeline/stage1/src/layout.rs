@@ -1,7 +1,7 @@
 //! Every parameter of a configuration: name, shape and initial values, in the order of the released checkpoint.
 
 use super::config::{CELL, HeadKind, POSE_NUMBERS, SPLAT_CHANNELS, Stage1Config};
-use super::{adapter, stem, sweep};
+use super::{adapter, held, stem, sweep};
 use rogs_schemas::records::conditioning::KAPPA_CHANNELS;
 use rogs_weights::ParameterSource;
 pub use rogs_weights::{Initial, ParameterSpec};
@@ -170,6 +170,17 @@ pub fn fk_branch(config: &Stage1Config) -> Vec<ParameterSpec> {
     list.layer("fk_branch.conv1", &[hidden, KAPPA_CHANNELS, 3, 3]);
     list.layer("fk_branch.conv2", &[hidden, hidden, 3, 3]);
     list.filled("fk_branch.conv3", &[3, hidden, 3, 3], Initial::Constant(0.0));
+    list.0
+}
+
+/// The parameters of what says where the gripper holds something; its last layer is zero at the start.
+#[must_use]
+pub fn held() -> Vec<ParameterSpec> {
+    let mut list = List::default();
+    let hidden = held::HIDDEN;
+    list.layer("held.conv1", &[hidden, held::INPUTS, 3, 3]);
+    list.layer("held.conv2", &[hidden, hidden, 3, 3]);
+    list.filled("held.conv3", &[1, hidden, 3, 3], Initial::Constant(0.0));
     list.0
 }
 

@@ -14,6 +14,8 @@ pub mod encoder;
 pub mod frames;
 pub mod geometry;
 pub mod head;
+pub mod held;
+mod held_path;
 pub mod import;
 pub mod layout;
 pub mod losses;

@@ -9,6 +9,7 @@ use super::encoder::Encoder;
 use super::frames::SourceFrames;
 use super::geometry::NetworkCamera;
 use super::head::{DenseHead, FkBranch, TAP_EPSILON};
+use super::held::HeldGate;
 use super::stem::{Stem, StemFeatures};
 use super::sweep::SweptDepth;
 use crate::{Error, Result};
@@ -71,6 +72,15 @@ impl Stage1 {
         } else {
             Ok(None)
         }
+    }
+
+    /// What says where the gripper holds something; `None` when the weights have nothing that does.
+    ///
+    /// # Errors
+    /// When a tensor is missing or has another shape.
+    pub fn held_gate(&self) -> Result<Option<HeldGate>> {
+        let scope = self.parameters.scope("held");
+        scope.has("conv1.weight").then(|| HeldGate::load(&scope)).transpose()
     }
 
     /// Runs the encoder and the aggregator: everything that does not depend on a query time.

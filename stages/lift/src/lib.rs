@@ -293,7 +293,18 @@ impl Lifting<'_> {
         } else {
             robot_links(source)
         };
+        let held = if params.fk_conditioning && heads.has_held_gate() {
+            let path = source.held_path()?;
+            if path.is_none() {
+                let warning = "no link of the robot carries the tool centre: nothing follows the gripper";
+                self.observer.warn(warning.into());
+            }
+            path
+        } else {
+            None
+        };
         let anchor = Anchor {
+            position_m: &base.position_m,
             base_raw: &base.raw,
             link: if params.anchoring { &base.link } else { &masked },
         };
@@ -314,7 +325,7 @@ impl Lifting<'_> {
             for view in 0..source.views.len() {
                 let positions = (!params.anchoring).then(|| &base.position_m[view * area * 3..][..area * 3]);
                 robot.push(if needs_robot {
-                    Some(source.robot_at(view, frame, positions)?)
+                    Some(source.robot_at(view, frame, positions, held.as_ref())?)
                 } else {
                     None
                 });

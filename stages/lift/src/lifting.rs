@@ -10,9 +10,10 @@ use rogs_geometry::quaternion_product;
 use rogs_schemas::records::conditioning::{KAPPA_CHANNELS, plane};
 use rogs_schemas::records::field::{GATE_ATTRIBUTES, RAW_CHANNELS, TimeSlice};
 use rogs_schemas::records::robot::NO_LINK;
-use rogs_schemas::units::m_from_iu;
+use rogs_schemas::units::{iu_from_m, m_from_iu};
 use rogs_stage1::decode::{self, activate_depth};
 use rogs_stage1::head::{DenseHead, FkBranch};
+use rogs_stage1::held::{HeldGate, Holding};
 use rogs_stage1::{Encoded, HeadKind, Stage1};
 use rogs_tensors::device;
 use rogs_tensors::parameters::{from_host, to_host};
@@ -122,8 +123,11 @@ pub(crate) struct MotionHeads {
     motion: DenseHead,
     attributes: DenseHead,
     fk: Option<FkBranch>,
+    held: Option<HeldGate>,
     /// Shortcut of the attribute head per view, made when first needed.
     shortcuts: Vec<OnceLock<Tensor<4>>>,
+    /// What the gate makes of each view, made when first needed.
+    holdings: Vec<OnceLock<Holding>>,
 }
 
 /// How slices are made of the heads' answers.
@@ -146,6 +150,8 @@ pub(crate) enum Branch {
 
 /// What a slice is made from besides the heads.
 pub(crate) struct Anchor<'a> {
+    /// As in `Field`.
+    pub(crate) position_m: &'a [f32],
     pub(crate) base_raw: &'a [f32],
     /// Robot support of each Gaussian, for kinematic transport.
     pub(crate) link: &'a [u8],
@@ -153,14 +159,20 @@ pub(crate) struct Anchor<'a> {
 
 impl MotionHeads {
     pub(crate) fn load(network: &Stage1, views: usize) -> rogs_tensors::Result<Self> {
-        let shortcuts = (0..views).map(|_| OnceLock::new()).collect();
         let (motion, attributes) = (network.head(HeadKind::Motion)?, network.head(HeadKind::MotionSplat)?);
         Ok(Self {
             motion,
             attributes,
             fk: network.fk_branch()?,
-            shortcuts,
+            held: network.held_gate()?,
+            shortcuts: (0..views).map(|_| OnceLock::new()).collect(),
+            holdings: (0..views).map(|_| OnceLock::new()).collect(),
         })
+    }
+
+    /// Whether the weights say where the gripper holds something.
+    pub(crate) fn has_held_gate(&self) -> bool {
+        self.held.is_some()
     }
 
     /// Whether the weights have an FK-conditioning branch.
@@ -184,16 +196,21 @@ impl MotionHeads {
         let area = height * width;
         let view = |index: usize| -> rogs_tensors::Result<ViewSlice> {
             let one = encoded.frames_at(index, 1);
-            let visual = self.motion.forward(&motion, &one).narrow(1, 0, 3);
-            let device = visual.device();
-            let total = match &self.fk {
+            let raw = self.motion.forward(&motion, &one);
+            let (visual, device) = (raw.clone().narrow(1, 0, 3), raw.device());
+            let shown = robot[index].as_ref().filter(|_| branch == Branch::Maps);
+            let mut total = match &self.fk {
                 Some(fk) => {
-                    let shown = robot[index].as_ref().filter(|_| branch == Branch::Maps);
                     let kappa = shown.map_or_else(|| vec![0.0; KAPPA_CHANNELS * area], |robot| robot.kappa.clone());
                     visual + fk.forward(from_host(kappa, [1, KAPPA_CHANNELS, height, width], &device))
                 }
                 None => visual,
             };
+            if let Some((gate, robot)) = self.held.as_ref().zip(shown.filter(|robot| robot.held.is_some())) {
+                let holding =
+                    self.holdings[index].get_or_init(|| look(gate, robot, anchor, index, encoded.size, &device));
+                total = total + holding.displacement(&[robot.held], raw.narrow(1, 3, 1));
+            }
             let mut displacement_iu = to_host(total)?;
             let links = &anchor.link[index * area..][..area];
             let base = &anchor.base_raw[index * area * RAW_CHANNELS..][..area * RAW_CHANNELS];
@@ -276,6 +293,31 @@ struct ViewSlice {
     displacement_m: Vec<f32>,
     gate: Vec<u8>,
     moving_raw: Vec<f32>,
+}
+
+/// What the gate makes of one view.
+fn look(
+    gate: &HeldGate,
+    robot: &RobotAtTime,
+    anchor: &Anchor<'_>,
+    index: usize,
+    [height, width]: [usize; 2],
+    device: &Device,
+) -> Holding {
+    let area = height * width;
+    let planes = |values: &[f32], stride: usize, unit: fn(f32) -> f32| -> Tensor<4> {
+        let of_view = &values[index * area * stride..][..area * stride];
+        let planar =
+            (0..3).flat_map(|channel| of_view[channel..].iter().step_by(stride).map(move |&value| unit(value)));
+        from_host(planar.collect(), [1, 3, height, width], device)
+    };
+    let support = robot.kappa[plane::SUPPORT * area..][..area].to_vec();
+    gate.look(
+        &[robot.held],
+        planes(anchor.position_m, 3, iu_from_m),
+        planes(anchor.base_raw, RAW_CHANNELS, |value| value),
+        from_host(support, [1, 1, height, width], device),
+    )
 }
 
 /// Replaces the displacement of robot pixels by that of their link. Planar `[3, H, W]`

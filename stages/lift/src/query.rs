@@ -56,6 +56,7 @@ impl<'a> FieldQuery<'a> {
             )));
         }
         let anchor = Anchor {
+            position_m: &self.field.position_m,
             base_raw: &self.field.base_raw,
             link: &self.field.link,
         };

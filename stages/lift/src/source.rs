@@ -7,6 +7,7 @@ use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::robot::{NO_LINK, RobotMap, RobotMaps};
 use rogs_schemas::units::LengthUnit;
 use rogs_schemas::{FrameIndex, RigidPose};
+use rogs_stage1::held::{HeldMotion, HeldPath};
 use rogs_stage1::{Attention, NetworkCamera, SourceFrames};
 use rogs_tensors::parameters::from_host;
 use rogs_worker::{StageError, StageResult};
@@ -43,6 +44,8 @@ pub struct RobotAtTime {
     pub kappa: Vec<f32>,
     /// Per link: rotation (w, x, y, z) of T(t) T(s)^-1 in the reconstruction frame. Needed for kinematic transport.
     pub link_rotation: Vec<[f32; 4]>,
+    /// How the gripper moves what it holds; `None` where that is not asked for or not known.
+    pub held: Option<HeldMotion>,
 }
 
 impl<'a> Source<'a> {
@@ -138,13 +141,20 @@ impl<'a> Source<'a> {
         (frames, images)
     }
 
+    /// The path of what the gripper holds; `None` where no link carries the tool centre.
+    pub(crate) fn held_path(&self) -> StageResult<Option<HeldPath>> {
+        HeldPath::of_clip(self.robot, &self.clip.robot.gripper).map_err(bad_pose)
+    }
+
     /// How the robot moves from view `index` to a clip frame. `position_m` are the source positions of the view's pixels
-    /// when they are not the mesh's own (no anchoring): the FK displacement is then taken at those.
+    /// when they are not the mesh's own (no anchoring): the FK displacement is then taken at those. `held` is the path of
+    /// what the gripper holds, where weights ask for it.
     pub(crate) fn robot_at(
         &self,
         index: usize,
         frame: FrameIndex,
         position_m: Option<&[f32]>,
+        held: Option<&HeldPath>,
     ) -> StageResult<RobotAtTime> {
         let view = &self.views[index];
         let at = |frame: FrameIndex| LinkPoses::at_frame(self.robot, frame).map_err(bad_pose);
@@ -155,13 +165,11 @@ impl<'a> Source<'a> {
                 "the conditioning has no maps for frame {frame}; it stores {stored:?}"
             ))
         })?;
-        Ok(RobotAtTime::new(
-            self.conditioning,
-            view.conditioning,
-            query,
-            &motions,
-            position_m,
-        ))
+        let robot = RobotAtTime::new(self.conditioning, view.conditioning, query, &motions, position_m);
+        Ok(match held {
+            Some(path) => robot.with_held(path, view.view.frame, frame.at() as f64, &self.recon_from_base_iu),
+            None => robot,
+        })
     }
 }
 
@@ -184,6 +192,22 @@ impl RobotAtTime {
         Self {
             kappa,
             link_rotation: motions.rotations(),
+            held: None,
+        }
+    }
+
+    /// The same with how the gripper moves what it holds, from a source frame to a place between frames.
+    #[must_use]
+    pub fn with_held(
+        self,
+        path: &HeldPath,
+        source: FrameIndex,
+        position: f64,
+        recon_from_base: &Pose<Recon, Base>,
+    ) -> Self {
+        Self {
+            held: HeldMotion::new(path, source, position, recon_from_base),
+            ..self
         }
     }
 }

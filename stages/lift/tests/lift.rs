@@ -3,14 +3,17 @@
 
 mod support;
 
+use rogs_geometry::{LinkPoses, Pose};
 use rogs_lift::{
-    CrossCamera, FieldQuery, LiftParams, Model, MotionOptions, ProductPrecision, RobotMotion, lift_clip, load_model,
+    CrossCamera, FieldQuery, LiftParams, Model, MotionOptions, ProductPrecision, RobotAtTime, RobotMotion, lift_clip,
+    load_model,
 };
 use rogs_schemas::FrameIndex;
 use rogs_schemas::records::clip::DepthReference;
 use rogs_schemas::records::field::{Field, GATE_ATTRIBUTES, RAW_CHANNELS};
 use rogs_schemas::records::origin::ReferenceOrigin;
 use rogs_schemas::records::robot::NO_LINK;
+use rogs_stage1::held::HeldPath;
 use rogs_weights::Unfiled;
 use rogs_worker::Unobserved;
 use support::{FRAMES, Inputs, MESH_DEPTH_M, small_clip};
@@ -65,6 +68,21 @@ fn moving_model() -> Model {
         procedural_only: false,
         made_for: None,
     }
+}
+
+/// The same model where all that the gripper can reach is held.
+fn holding_model() -> Model {
+    let mut model = moving_model();
+    for spec in rogs_stage1::layout::held() {
+        let value = if spec.name == "held.conv3.bias" { 30.0 } else { 0.0 };
+        let values = vec![value; spec.len()];
+        model
+            .network
+            .parameters
+            .insert(&spec.name, &spec.shape, values)
+            .unwrap();
+    }
+    model
 }
 
 fn lift_with(model: &Model, params: &LiftParams, inputs: &Inputs) -> Field {
@@ -258,6 +276,99 @@ fn queries_answer_stored_times_exactly_and_others_in_between() {
         )
         .is_err()
     );
+}
+
+/// Points of a body that is rigid to link 1 stay in its frame, as far as the gripper reaches; by the formula of the clip.
+#[test]
+fn what_the_gripper_holds_follows_it() {
+    let turned = |frame: f64, [x, y, z]: [f64; 3]| {
+        let (s, c) = (0.1 * frame).sin_cos();
+        [c * x - s * y + 0.02 * frame, s * x + c * y, z]
+    };
+    let back = |frame: f64, [x, y, z]: [f64; 3]| {
+        let ((s, c), x) = ((0.1 * frame).sin_cos(), x - 0.02 * frame);
+        [c * x + s * y, c * y - s * x, z]
+    };
+    let tool = [-0.35, 0.0, 1.0];
+    let mut inputs = inputs();
+    inputs.robot.tool_m = (0..FRAMES).flat_map(|frame| turned(frame as f64, tool)).collect();
+    inputs.clip.robot.gripper = vec![0.5; FRAMES];
+    let params = LiftParams::default();
+    let (plain, held) = (moving_model(), holding_model());
+    let (still, field) = (lift_with(&plain, &params, &inputs), lift_with(&held, &params, &inputs));
+    assert!(field.position_m == still.position_m && field.base_raw == still.base_raw);
+    let distance = |a: [f64; 3], b: [f64; 3]| (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt();
+    let (mut followed, mut beyond) = (0, 0);
+    for (slice, without) in field.slices.iter().zip(&still.slices) {
+        let query = slice.time * (FRAMES - 1) as f64;
+        for gaussian in 0..field.len() {
+            let of = |values: &[f32]| [0, 1, 2].map(|axis| f64::from(values[3 * gaussian + axis]));
+            let source = field.views[gaussian / AREA].frame.at() as f64;
+            let place = of(&field.position_m);
+            let moved = turned(query, back(source, place));
+            let left = ((0.3 - distance(place, turned(source, tool))) / 0.15).clamp(0.0, 1.0);
+            let supported = field.support[gaussian] != 0;
+            let share = if supported {
+                0.0
+            } else {
+                left * left * (3.0 - 2.0 * left)
+            };
+            let (with, without) = (of(&slice.displacement_m), of(&without.displacement_m));
+            for axis in 0..3 {
+                let expected = share * (moved[axis] - place[axis]);
+                let found = with[axis] - without[axis];
+                assert!(
+                    (found - expected).abs() < 1e-5,
+                    "{gaussian} {axis}: {found}, not {expected}"
+                );
+                assert!(share > 0.0 || with[axis] == without[axis]);
+            }
+            followed += usize::from(share == 1.0 && distance(moved, place) > 0.01);
+            beyond += usize::from(share == 0.0 && !supported);
+        }
+    }
+    assert!(followed > 20 && beyond > 500, "{followed} {beyond}");
+
+    // At a stored time a query is told the same and gives the same.
+    let options = MotionOptions {
+        gates: params.gates(),
+        robot_motion: params.robot_motion,
+    };
+    let path = HeldPath::of_clip(&inputs.robot, &inputs.clip.robot.gripper)
+        .unwrap()
+        .unwrap();
+    let query = FieldQuery::new(&field, &held.network, options).unwrap();
+    let at = |frame: FrameIndex| LinkPoses::at_frame(&inputs.robot, frame).unwrap();
+    for (index, slice) in field.slices.iter().enumerate() {
+        let frame = inputs.conditioning.query_frames[index];
+        let robot = field.views.iter().enumerate().map(|(view, seen)| {
+            let motions = at(frame).motion_from(&at(seen.frame));
+            let robot = RobotAtTime::new(&inputs.conditioning, view, index, &motions, None);
+            Some(robot.with_held(&path, seen.frame, frame.at() as f64, &Pose::IDENTITY))
+        });
+        assert_eq!(&query.at(slice.time, &robot.collect::<Vec<_>>()).unwrap(), slice);
+    }
+}
+
+#[test]
+fn nothing_follows_without_a_grip_or_without_kinematics() {
+    let mut inputs = inputs();
+    let (plain, held) = (moving_model(), holding_model());
+    let same = |params: &LiftParams, inputs: &Inputs| {
+        let (plain, held) = (lift_with(&plain, params, inputs), lift_with(&held, params, inputs));
+        plain.slices == held.slices
+    };
+    // The tool centre lies on no moving link, and the gripper is open.
+    assert!(same(&LiftParams::default(), &inputs));
+    inputs.robot.tool_m = (0..FRAMES).flat_map(|frame| [0.02 * frame as f64, 0.0, 1.0]).collect();
+    assert!(same(&LiftParams::default(), &inputs));
+    inputs.clip.robot.gripper = vec![0.5; FRAMES];
+    assert!(!same(&LiftParams::default(), &inputs));
+    let unconditioned = LiftParams {
+        fk_conditioning: false,
+        ..LiftParams::default()
+    };
+    assert!(same(&unconditioned, &inputs));
 }
 
 #[test]

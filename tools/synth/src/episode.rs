@@ -177,14 +177,15 @@ pub fn generate_episode_with(config: &SynthConfig, seed: u64, props: &Props) -> 
     })
 }
 
-/// The motion of objects beside another arm: half of the time the first one is in its gripper from beginning to end.
+/// The motion of objects beside another arm: where its gripper keeps still, which is half of the time, the first one is in
+/// it from beginning to end.
 fn carried(draw: &mut Draw, moved: &GuestMotion, objects: &[Object]) -> Motion {
     let states = moved.gripper.iter().map(|&gripper| RobotState {
         joints: [0.0; ARM_JOINTS],
         gripper,
     });
     let frames = moved.flange.len();
-    let held = draw.chance(0.5);
+    let held = moved.holds;
     let turn = draw.range(-std::f64::consts::PI, std::f64::consts::PI);
     let first = moved.flange[0].inverse();
     let in_hand = first * Pose::<Base, BodyFrame>::new(rot_z(turn), moved.tool[0]);

@@ -24,6 +24,9 @@ pub struct Stage1Training {
     pub start: Option<PathBuf>,
     /// Starts the FK branch anew although the checkpoint has one.
     pub fresh_fk_branch: bool,
+    /// Gives a network that has none the gate of what the gripper holds: held objects then follow it. Not in the paper.
+    #[serde(skip_serializing_if = "is_off")]
+    pub held_gate: bool,
     /// Weights of LPIPS-VGG, a file or a folder of files; without them `movies_lpips` is left out.
     pub lpips: Option<PathBuf>,
     /// Seed of weights, data order and dropout.
@@ -112,6 +115,14 @@ pub struct SizeShare {
 /// The cameras of DROID, which settings need not say.
 const THREE_CAMERAS: [u32; 2] = [3, 3];
 
+fn is_off(setting: &bool) -> bool {
+    !setting
+}
+
+fn is_zero(weight: &f64) -> bool {
+    *weight == 0.0
+}
+
 fn is_three(cameras: &[u32; 2]) -> bool {
     *cameras == THREE_CAMERAS
 }
@@ -124,7 +135,7 @@ pub struct OptimiserSettings {
     pub rate: f64,
     /// Peak rate of the attribute heads.
     pub head_rate: f64,
-    /// Peak rate of the FK branch.
+    /// Peak rate of the FK branch and of the gate of what is held.
     pub fk_rate: f64,
     /// Rank of low-rank updates of the attention layers; 0 trains all weights.
     pub lora_rank: usize,
@@ -164,6 +175,10 @@ pub struct LossWeights {
     pub track_head: f64,
     /// Composited displacement at track pixels.
     pub track_final: f64,
+    /// Motion of objects that move, and of what stands still within reach of the gripper. Not in the paper, whose network
+    /// has no gate of what is held.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub held: f64,
     /// Distance to the FK displacement at robot pixels.
     pub fk_head: f64,
     /// The same of the composited displacement.
@@ -187,6 +202,7 @@ impl Default for Stage1Training {
             configuration: "compact".into(),
             start: None,
             fresh_fk_branch: false,
+            held_gate: false,
             lpips: None,
             seed: 73,
             steps: 3462,
@@ -254,6 +270,7 @@ impl Default for LossWeights {
             sweep_depth: 0.0,
             track_head: 10.0,
             track_final: 0.105_593,
+            held: 0.0,
             fk_head: 0.464_340,
             fk_final: 0.157_137,
             metric_final: 0.001_829_39,
@@ -276,7 +293,8 @@ impl LossWeights {
     /// Whether any loss looks further than the depth head, at what is asked for at a query time.
     #[must_use]
     pub fn needs_queries(&self) -> bool {
-        self.renders_views() || self.renders_motion() || self.track_head > 0.0 || self.fk_head > 0.0
+        let outputs = self.track_head > 0.0 || self.fk_head > 0.0 || self.held > 0.0;
+        self.renders_views() || self.renders_motion() || outputs
     }
 
     /// Whether any loss looks at the stem's sweep.
@@ -302,7 +320,7 @@ impl LossWeights {
         self.metric_final > 0.0 || self.metric_right > 0.0 || self.metric_robot > 0.0
     }
 
-    fn all(&self) -> [f64; 16] {
+    fn all(&self) -> [f64; 17] {
         [
             self.movies_mse,
             self.movies_lpips,
@@ -313,6 +331,7 @@ impl LossWeights {
             self.sweep_depth,
             self.track_head,
             self.track_final,
+            self.held,
             self.fk_head,
             self.fk_final,
             self.metric_final,

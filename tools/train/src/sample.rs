@@ -1,7 +1,8 @@
 //! One training clip from a procedural episode: what the network sees, and exact references for every loss.
 
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
-use rogs_geometry::{Base, Pose, Recon};
+use rogs_geometry::{Base, Link, Pose, Recon};
 use rogs_lift::LiftParams;
 use rogs_schemas::records::clip::time_of_frame;
 use rogs_schemas::records::conditioning::{GripperPrior, KAPPA_CHANNELS, plane};
@@ -9,6 +10,7 @@ use rogs_schemas::units::{LengthUnit, UNITS_PER_METRE, iu_from_m};
 use rogs_schemas::{CameraIndex, FrameIndex};
 use rogs_splat::RasterCamera;
 use rogs_stage1::NetworkCamera;
+use rogs_stage1::held::{HeldMotion, HeldPath, REACH_M};
 use rogs_synth::{CAMERAS, FIRST_OBJECT_ID, FIRST_SCENERY_ID, View};
 
 use crate::builder::{ClipBuilder, DEPTH_RANGE_M, RobotSeen};
@@ -55,6 +57,8 @@ pub struct Sample {
     pub trackable: Vec<f32>,
     /// Whether all else is known to stand still.
     pub still: bool,
+    /// 1 where a reference depth shows a surface within reach of the gripper, the robot's own among them. `[S, A]`
+    pub near_tool: Vec<f32>,
     /// What is asked of the field.
     pub queries: Vec<Query>,
 }
@@ -80,10 +84,21 @@ pub struct Query {
     pub kappa: Vec<f32>,
     /// By how much the FK displacement of a conditioned pixel changes with its depth, 0 elsewhere. `[S, 3, H, W]`
     pub fk_slope: Vec<f32>,
+    /// How each view's gripper moves what it holds; `None` where there is no robot. `[S]`
+    pub held: Vec<Option<HeldMotion>>,
     /// Displacement of every source pixel from its own time to this one, internal units. `[S, 3, H, W]`
     pub displacement_iu: Vec<f32>,
     /// Views of all cameras at this time, source cameras first.
     pub targets: Vec<Target>,
+}
+
+impl Query {
+    /// How far a pixel (row-major into `[S, A]`) moves, internal units; `area` pixels a view.
+    pub(crate) fn moved_iu(&self, pixel: usize, area: usize) -> f32 {
+        let first = 3 * (pixel / area) * area + pixel % area;
+        let square = |axis: usize| self.displacement_iu[first + axis * area].powi(2);
+        (square(0) + square(1) + square(2)).sqrt()
+    }
 }
 
 /// What a camera saw at a query time.
@@ -162,8 +177,10 @@ impl ClipBuilder<'_> {
             robot: Vec::with_capacity(order.len() * area),
             trackable: Vec::with_capacity(order.len() * area),
             still: true,
+            near_tool: Vec::with_capacity(order.len() * area),
             queries: Vec::new(),
         };
+        let held = self.held_path();
         let mark = |on: bool| f32::from(u8::from(on));
         let footprint_px = LiftParams::default().footprint_px;
         for &(place, time) in &order {
@@ -193,7 +210,11 @@ impl ClipBuilder<'_> {
                 .trackable
                 .extend(view.id.iter().map(|&id| mark(id < FIRST_SCENERY_ID)));
             let posed = self.posed(camera, frame);
-            sample.cameras.push(NetworkCamera::new(&posed));
+            let network_camera = NetworkCamera::new(&posed);
+            let depth = &sample.depth_iu[sample.near_tool.len()..];
+            let near = near_tool(&network_camera, depth, sample.size, held.tool(clip_frame));
+            sample.near_tool.extend(near);
+            sample.cameras.push(network_camera);
             sample
                 .raster_cameras
                 .push(RasterCamera::new(&posed, LengthUnit::Internal));
@@ -201,12 +222,28 @@ impl ClipBuilder<'_> {
             sample.views.push((CameraIndex(camera as u32), time));
         }
         sample.queries = (self.plan.queries.iter())
-            .map(|&query| self.query(query, &order, &sources, with_targets))
+            .map(|&query| self.query(query, (&order, &held), &sources, with_targets))
             .collect();
         sample
     }
 
-    fn query(&self, query: FrameIndex, order: &[(usize, usize)], sources: &[Vec<Source>], with_targets: bool) -> Query {
+    /// The path of what the gripper holds, as the lift stage has it of the clip's records.
+    fn held_path(&self) -> HeldPath {
+        let frames = FrameIndex::first(self.data.clip_frames as usize).map(|frame| self.frame(frame));
+        let hand = |frame| self.recon_from_base * self.episode.base_from_flange(frame).relabelled::<Base, Link>();
+        let hands: Vec<Pose<Recon, Link>> = frames.clone().map(hand).collect();
+        let gripper: Vec<f64> = frames.clone().map(|frame| self.episode.states[frame].gripper).collect();
+        let tool = frames.map(|frame| self.recon_from_base.point(self.episode.tool(frame)));
+        HeldPath::new(&hands, &gripper, tool.collect())
+    }
+
+    fn query(
+        &self,
+        query: FrameIndex,
+        (order, held): (&[(usize, usize)], &HeldPath),
+        sources: &[Vec<Source>],
+        with_targets: bool,
+    ) -> Query {
         let to = self.frame(query);
         let maps: Vec<Motion> = (order.par_iter())
             .map(|&(place, time)| {
@@ -237,6 +274,11 @@ impl ClipBuilder<'_> {
         Query {
             time: time_of_frame(query, self.data.clip_frames as usize) as f32,
             targets: targets.collect(),
+            held: (order.iter())
+                .map(|&(_, time)| {
+                    HeldMotion::new(held, self.plan.sources[time], query.at() as f64, &self.recon_from_base)
+                })
+                .collect(),
             kappa: maps.iter().flat_map(|motion| &motion.kappa).copied().collect(),
             fk_slope: maps.iter().flat_map(|motion| &motion.fk_slope).copied().collect(),
             displacement_iu: maps
@@ -324,6 +366,25 @@ impl ClipBuilder<'_> {
             sigma_m: rogs_conditioning::Params::default().prior_sigma_m,
         }
     }
+}
+
+/// 1 where a depth (0: none) shows a surface within reach of the tool centre (metres) of a view. `[A]`
+pub(crate) fn near_tool(
+    camera: &NetworkCamera,
+    depth_iu: &[f32],
+    [height, width]: [usize; 2],
+    tool_m: Option<DVec3>,
+) -> Vec<f32> {
+    let Some(tool_m) = tool_m else {
+        return vec![0.0; depth_iu.len()];
+    };
+    let (tool, reach) = ((tool_m * UNITS_PER_METRE).as_vec3(), (REACH_M * UNITS_PER_METRE) as f32);
+    let points = camera.unproject(depth_iu, height, width);
+    let near = |(point, &depth): (&[f32], &f32)| {
+        let within = depth > 0.0 && Vec3::from_slice(point).distance(tool) < reach;
+        f32::from(u8::from(within))
+    };
+    points.chunks_exact(3).zip(depth_iu).map(near).collect()
 }
 
 /// Depth in internal units and whether it counts.

@@ -98,6 +98,15 @@ fn a_clip_from_records_is_the_clip_that_was_recorded() {
     );
     assert_eq!(read.scale_cap_iu, made.scale_cap_iu);
     assert!(!read.still && made.still);
+    assert_eq!(read.near_tool, made.near_tool);
+    let held = |sample: &Sample| {
+        sample
+            .queries
+            .iter()
+            .flat_map(|query| query.held.clone())
+            .collect::<Vec<_>>()
+    };
+    assert!(held(&read).iter().all(Option::is_some) && held(&read).len() == held(&made).len());
     for (a, b) in read.cameras.iter().zip(&made.cameras) {
         let (a, b) = (a.world_from_camera_iu, b.world_from_camera_iu);
         assert!(a.translation.abs_diff_eq(b.translation, 1e-5) && a.rotation.abs_diff_eq(b.rotation, 1e-6));

@@ -10,14 +10,18 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use burn::tensor::Device;
+use glam::DVec3;
 use losses::NONE;
+use rogs_geometry::{Link, Pose, Recon};
 use rogs_lift::ProductPrecision;
 use rogs_lpips::{LpipsTensors, LpipsWeights};
 use rogs_random::Pcg64;
+use rogs_schemas::FrameIndex;
+use rogs_stage1::held::{HeldMotion, HeldPath};
 use rogs_stage1::stage1_metadata;
 use rogs_stage1::{Stage1, Stage1Config, seeded};
 use rogs_tensors::optimiser;
-use rogs_tensors::parameters::to_host;
+use rogs_tensors::parameters::{from_host, to_host};
 use rogs_train::config::{DataSettings, LossWeights, OptimiserSettings};
 use rogs_train::plan::ClipPlan;
 use rogs_train::run::run;
@@ -225,6 +229,7 @@ fn gradients_are_those_of_the_reported_loss() {
                 ..NONE
             },
         ),
+        ("held", LossWeights { held: 1.0, ..NONE }),
         (
             "perceptual",
             LossWeights {
@@ -254,6 +259,7 @@ fn gradients_are_those_of_the_reported_loss() {
     for (what, weights) in cases {
         let name = match what {
             "sweep" => "stem.sweep.features.0.weight",
+            "held" => "held.conv3.bias",
             "composited motion" => "backbone.motion_head.scratch.output_conv2.2.bias",
             "coverage" | "perceptual" => "backbone.splat_head.scratch.output_conv2.2.bias",
             _ => "backbone.depth_head.scratch.output_conv2.2.bias",
@@ -266,6 +272,7 @@ fn gradients_are_those_of_the_reported_loss() {
         if what == "sweep" {
             settings.configuration = "compact-sweep".into();
         }
+        settings.held_gate = what == "held";
         let value_with = |shift: f32| {
             let mut trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
             let shape = trainer.network.parameters.shape(name).unwrap().to_vec();
@@ -289,7 +296,11 @@ fn gradients_are_those_of_the_reported_loss() {
         let numeric = (above - below) / (2.0 * f64::from(step));
         let (_, analytic) = value_with(0.0);
         // Gaussians that come and go at the edge of their footprint make rendered losses jump a little.
-        let tolerance = if matches!(what, "heads" | "sweep") { 0.01 } else { 0.12 };
+        let tolerance = if matches!(what, "heads" | "sweep" | "held") {
+            0.01
+        } else {
+            0.12
+        };
         assert!(
             (numeric - analytic).abs() < tolerance * numeric.abs().max(1e-4),
             "{what}: {analytic} by the backward pass, {numeric} by differences"
@@ -533,6 +544,72 @@ fn goes_on_with_what_it_lacks(config: &Stage1Config, wanted: Stage1Config, learn
         let values = trainer.network.parameters.host(name).unwrap();
         assert!(values.iter().any(|&value| value != 0.0), "{name} does not learn");
     }
+}
+
+/// It starts with what is nearest to the tool, learns, and is part of the weights; a network that has one keeps it.
+#[test]
+fn a_gate_of_what_is_held_starts_at_the_tool_and_learns() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut settings = tiny(1);
+    settings.held_gate = true;
+    settings.losses = LossWeights { held: 1.0, ..NONE };
+    let mut trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
+    let tool = DVec3::new(0.1, 0.2, 0.9);
+    let carry = DVec3::X * 0.1;
+    let hands = [Pose::<Recon, Link>::IDENTITY, Pose::from_translation(carry)];
+    let path = HeldPath::new(&hands, &[0.5; 2], vec![tool, tool + carry]);
+    let motion = [HeldMotion::new(&path, FrameIndex(0), 1.0, &Pose::IDENTITY)];
+    let offsets = [0.0, 0.03, 0.05, 0.1, 0.2, 0.31];
+    let places = |axis: usize| offsets.map(|offset| ((tool[axis] + if axis == 1 { offset } else { 0.0 }) * 3.5) as f32);
+    let width = offsets.len();
+    let position = from_host((0..3).flat_map(places).collect(), [1, 3, 1, width], &Device::flex());
+    let zeros = |channels: usize| from_host(vec![0.0; channels * width], [1, channels, 1, width], &Device::flex());
+    let plain = Stage1::new(
+        trainer.network.config.clone(),
+        trainer.network.parameters.without_gradients(),
+    )
+    .unwrap();
+    let gate = plain.held_gate().unwrap().unwrap();
+    let holding = gate.look(&motion, position, zeros(12), zeros(1));
+    let moved = to_host(holding.displacement(&motion, zeros(1))).unwrap();
+    for (pixel, offset) in offsets.into_iter().enumerate() {
+        let left = ((0.3 - offset) / 0.15f64).clamp(0.0, 1.0);
+        let logit = 8.0 * (-0.5 * (offset / 0.05f64).powi(2)).exp() - 6.0;
+        let expected = 0.35 * left * left * (3.0 - 2.0 * left) / (1.0 + (-logit).exp());
+        assert!(
+            (f64::from(moved[pixel]) - expected).abs() < 1e-5,
+            "{offset}: {}",
+            moved[pixel]
+        );
+        assert!(moved[width + pixel].abs() < 1e-6 && moved[2 * width + pixel].abs() < 1e-6);
+    }
+
+    let head = "backbone.motion_head.scratch.output_conv2.2.weight";
+    for name in ["held.conv3.weight", head] {
+        let values = trainer.network.parameters.host(name).unwrap();
+        assert!(
+            values[values.len() / 4 * 3..].iter().all(|&value| value == 0.0),
+            "{name}"
+        );
+    }
+    let batch = batches(&settings, 0).next_item().unwrap().unwrap();
+    let report = trainer.update(&batch).unwrap();
+    assert!(report.terms["held"] > 0.0 && report.terms.len() == 1);
+    for name in ["held.conv3.weight", head] {
+        let values = trainer.network.parameters.host(name).unwrap();
+        assert!(
+            values[values.len() / 4 * 3..].iter().any(|&value| value != 0.0),
+            "{name}"
+        );
+    }
+
+    let path = folder.path().join("model.safetensors");
+    let metadata = trainer.metadata("");
+    rogs_train::checkpoint::export(&trainer.network.parameters, &metadata, &path, ElementType::F32).unwrap();
+    let learned = trainer.network.parameters.host("held.conv3.weight").unwrap();
+    settings.start = Some(path);
+    let next = Stage1Trainer::new(settings, &Device::flex()).unwrap();
+    assert_eq!(next.network.parameters.host("held.conv3.weight").unwrap(), learned);
 }
 
 #[test]

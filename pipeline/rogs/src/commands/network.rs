@@ -3,14 +3,15 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail, ensure};
-use rogs_geometry::LinkPoses;
+use rogs_geometry::{Base, LinkPoses, Pose, Recon};
 use rogs_lift::{BUILTIN, FieldQuery, LiftParams, Model, MotionOptions, RobotAtTime, load_model};
 use rogs_r4c::read_record;
 use rogs_schemas::FileInfo;
-use rogs_schemas::records::clip::SourceView;
+use rogs_schemas::records::clip::{Clip, SourceView};
 use rogs_schemas::records::conditioning::Conditioning;
 use rogs_schemas::records::field::{Field, TimeSlice};
 use rogs_schemas::records::robot::RobotMaps;
+use rogs_stage1::held::HeldPath;
 
 /// Files of the field's clip and its weights.
 #[derive(Debug, clap::Args)]
@@ -49,7 +50,15 @@ impl BesideArgs {
 pub(crate) struct Network {
     model: Model,
     options: MotionOptions,
-    robot: Option<(RobotMaps, Conditioning)>,
+    robot: Option<Robot>,
+}
+
+/// What is known of the robot.
+struct Robot {
+    maps: RobotMaps,
+    conditioning: Conditioning,
+    /// The path of what the gripper holds, where the weights ask for it.
+    held: Option<HeldPath>,
 }
 
 impl Network {
@@ -90,7 +99,26 @@ impl Network {
                         field.clip_id
                     );
                 }
-                Some((maps, conditioning))
+                let held = match model.network.held_gate()? {
+                    Some(_) => {
+                        let hint = "these weights move what the gripper holds, and its states are in the clip: give it with \
+                                    `--clip`";
+                        let (clip, _) = read_record::<Clip>(&beside.clip(path)).context(hint)?;
+                        ensure!(
+                            clip.clip_id == field.clip_id,
+                            "the clip is `{}`, the field is of `{}`",
+                            clip.clip_id,
+                            field.clip_id
+                        );
+                        HeldPath::of_clip(&maps, &clip.robot.gripper)?
+                    }
+                    None => None,
+                };
+                Some(Robot {
+                    maps,
+                    conditioning,
+                    held,
+                })
             }
         };
         let options = MotionOptions {
@@ -108,7 +136,7 @@ impl Network {
     /// The field at a time.
     pub(crate) fn at(&self, query: &FieldQuery<'_>, field: &Field, time: f64) -> anyhow::Result<TimeSlice> {
         let robot = match &self.robot {
-            Some((maps, conditioning)) => robot_at(field, maps, conditioning, time)?,
+            Some(robot) => robot.at(field, time)?,
             None => Vec::new(),
         };
         Ok(query.at(time, &robot)?)
@@ -121,32 +149,29 @@ pub(crate) fn insert(field: &mut Field, slice: TimeSlice) {
     field.slices.insert(place, slice);
 }
 
-/// How the robot moves from each source view to a time between frames.
-fn robot_at(
-    field: &Field,
-    maps: &RobotMaps,
-    conditioning: &Conditioning,
-    time: f64,
-) -> anyhow::Result<Vec<Option<RobotAtTime>>> {
-    let position = time * f64::from(field.frame_count.saturating_sub(1));
-    let query = LinkPoses::between_frames(maps, position)?;
-    let points = 3 * (field.height * field.width) as usize;
-    let view = |(view, position_m): (&SourceView, &[f32])| {
-        let stored = conditioning.views.iter().position(|other| other == view);
-        let stored = stored.context("the conditioning lacks a source view of the field")?;
-        let motions = query.motion_from(&LinkPoses::at_frame(maps, view.frame)?);
-        Ok(Some(RobotAtTime::new(
+impl Robot {
+    /// How it moves from each source view to a time between frames.
+    fn at(&self, field: &Field, time: f64) -> anyhow::Result<Vec<Option<RobotAtTime>>> {
+        let Self {
+            maps,
             conditioning,
-            stored,
-            0,
-            &motions,
-            Some(position_m),
-        )))
-    };
-    field
-        .views
-        .iter()
-        .zip(field.position_m.chunks_exact(points))
-        .map(view)
-        .collect()
+            held,
+        } = self;
+        let position = time * f64::from(field.frame_count.saturating_sub(1));
+        let query = LinkPoses::between_frames(maps, position)?;
+        let recon_from_base: Pose<Recon, Base> = Pose::from_rigid(&maps.recon_from_base)?;
+        let points = 3 * (field.height * field.width) as usize;
+        let view = |(view, position_m): (&SourceView, &[f32])| {
+            let stored = conditioning.views.iter().position(|other| other == view);
+            let stored = stored.context("the conditioning lacks a source view of the field")?;
+            let motions = query.motion_from(&LinkPoses::at_frame(maps, view.frame)?);
+            let robot = RobotAtTime::new(conditioning, stored, 0, &motions, Some(position_m));
+            Ok(Some(match held {
+                Some(path) => robot.with_held(path, view.frame, position, &recon_from_base),
+                None => robot,
+            }))
+        };
+        let views = field.views.iter().zip(field.position_m.chunks_exact(points));
+        views.map(view).collect()
+    }
 }

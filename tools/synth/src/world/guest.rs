@@ -138,6 +138,8 @@ pub(crate) struct GuestMotion {
     pub(crate) joints: Vec<Vec<f64>>,
     /// 0 open, 1 closed. `[F]`
     pub(crate) gripper: Vec<f64>,
+    /// Whether the gripper holds something all the time; it does not move then.
+    pub(crate) holds: bool,
     /// Poses of the links with meshes. `[F][link]`
     pub(crate) links: Vec<Vec<Pose<Base, BodyFrame>>>,
     /// The frame that carries the wrist camera, its z towards the tool. `[F]`
@@ -181,7 +183,9 @@ pub(crate) fn draw_guest_motion(draw: &mut Draw, arm: &GuestArm, table_z: f64, f
         let second = next(&first)?;
         let third = next(&second)?;
         let turn = draw.range(0.3, 0.7);
-        let grip = [draw.unit(), draw.unit()];
+        let [first_grip, last_grip] = [draw.unit(), draw.unit()];
+        // A gripper that would open holds on instead.
+        let grip = [first_grip, last_grip.max(first_grip)];
         follow(arm, [&first, &second, &third], turn, grip, (table_z, frames))
     })
 }
@@ -196,6 +200,7 @@ fn follow(
     let mut motion = GuestMotion {
         joints: Vec::new(),
         gripper: Vec::new(),
+        holds: grip[1] <= grip[0],
         links: Vec::new(),
         flange: Vec::new(),
         tool: Vec::new(),

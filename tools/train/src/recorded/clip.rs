@@ -13,13 +13,14 @@ use rogs_schemas::units::{LengthUnit, iu_from_m};
 use rogs_schemas::{CameraIndex, FrameIndex};
 use rogs_splat::RasterCamera;
 use rogs_stage1::NetworkCamera;
+use rogs_stage1::held::{HeldMotion, HeldPath};
 
 use super::picture::{planar, reference_depth};
 use super::tracks::Tracked;
 use super::unusable;
 use crate::config::DataSettings;
 use crate::error::{Error, Result};
-use crate::sample::{NO_CAP_IU, Query, Sample, Target};
+use crate::sample::{NO_CAP_IU, Query, Sample, Target, near_tool};
 use crate::sources::RecordedSettings;
 
 /// The clips of a run.
@@ -226,8 +227,10 @@ impl Read {
             robot: vec![0.0; count * area],
             trackable: vec![0.0; count * area],
             still: false,
+            near_tool: Vec::with_capacity(count * area),
             queries: Vec::new(),
         };
+        let held = HeldPath::of_clip(&self.robot, &self.clip.robot.gripper).map_err(|error| wrong(&self, &error))?;
         let posed = |camera, frame| -> Result<PosedCamera<Recon>> {
             let camera = PosedCamera::of_clip(&self.clip, &self.robot, camera, frame);
             Ok(camera.map_err(|error| wrong(&self, &error))?.in_frame(&recon_from_base))
@@ -237,6 +240,9 @@ impl Read {
             let image = (self.clip.observation(*view)).ok_or_else(|| self.wrong("an image is missing"))?;
             sample.images.extend(planar(image.rgb()));
             let (depth, valid) = self.depth(view.camera, view.frame, area);
+            let tool_m = held.as_ref().and_then(|path| path.tool(view.frame));
+            let near = near_tool(&NetworkCamera::new(&camera), &depth, sample.size, tool_m);
+            sample.near_tool.extend(near);
             sample.depth_iu.extend(depth);
             sample.valid.extend(valid);
             self.add_mesh(&mut sample, index, *view, &camera)?;
@@ -253,7 +259,7 @@ impl Read {
         for &frame in &self.clip.query_frames {
             let query = self.query(
                 frame,
-                (&views, &conditioning),
+                (&views, &conditioning, held.as_ref()),
                 &recon_from_base,
                 &mut sample,
                 tracked.as_ref(),
@@ -316,7 +322,7 @@ impl Read {
     fn query(
         &self,
         frame: FrameIndex,
-        (views, conditioning): (&[SourceView], &Conditioning),
+        (views, conditioning, held): (&[SourceView], &Conditioning, Option<&HeldPath>),
         recon_from_base: &Pose<Recon, Base>,
         sample: &mut Sample,
         tracked: Option<&Tracked>,
@@ -327,6 +333,9 @@ impl Read {
         let mut query = Query {
             time: time_of_frame(frame, self.clip.frame_count()) as f32,
             kappa: Vec::with_capacity(KAPPA_CHANNELS * views.len() * area),
+            held: (views.iter())
+                .map(|view| HeldMotion::new(held?, view.frame, frame.at() as f64, recon_from_base))
+                .collect(),
             fk_slope: vec![0.0; 3 * views.len() * area],
             displacement_iu: vec![0.0; 3 * views.len() * area],
             targets: Vec::new(),

@@ -312,6 +312,7 @@ impl PosedFrames {
             robot: vec![0.0; count * area],
             trackable: vec![0.0; count * area],
             still: true,
+            near_tool: vec![0.0; count * area],
             queries: Vec::new(),
         };
         // The robot is known, and nowhere in view.
@@ -327,6 +328,7 @@ impl PosedFrames {
         sample.queries.push(Query {
             time: 0.0,
             kappa: kappa.repeat(count),
+            held: vec![None; count],
             fk_slope: vec![0.0; 3 * count * area],
             displacement_iu: vec![0.0; 3 * count * area],
             targets,

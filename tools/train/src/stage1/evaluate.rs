@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use rogs_field::gates::MOTION_GATE_IU;
 use rogs_schemas::units::m_from_iu;
 use rogs_splat::RasterConfig;
 use rogs_stage1::Stage1;
@@ -131,6 +132,8 @@ fn held_out(settings: &Stage1Training, visit: &mut dyn FnMut(&str, &Sample) -> R
 /// | `robot_epe_unconditioned_mm` | the same with all conditioning maps zero |
 /// | `robot_epe_unanchored_mm` | the same without mesh anchors |
 /// | `object_epe_mm` | the same at pixels of objects |
+/// | `moving_object_epe_mm` | the same at pixels of objects that move |
+/// | `moving_object_mm` | how far these move: the error of no motion at all |
 fn score(network: &Stage1, sample: &Sample) -> Result<Scored> {
     let encoded = network.encode(&source_frames(sample, network.parameters.device()))?;
     let lifted = decode(network, sample, &encoded, true, Heads::All)?.on_cpu()?;
@@ -151,19 +154,29 @@ fn score(network: &Stage1, sample: &Sample) -> Result<Scored> {
             means.add("sweep_abs_rel", error);
         }
     }
+    let area = sample.size[0] * sample.size[1];
     let mut last = Vec::new();
     for (index, query) in sample.queries.iter().enumerate() {
         let moved = to_host(lifted.queries[index].displacement.clone())?;
-        distances(sample, query, &moved, |robot, distance| {
-            means.add(if robot { "robot_epe_mm" } else { "object_epe_mm" }, distance);
+        distances(sample, query, &moved, |pixel, distance| {
+            if sample.robot[pixel] > 0.0 {
+                means.add("robot_epe_mm", distance);
+                return;
+            }
+            means.add("object_epe_mm", distance);
+            let moves_iu = query.moved_iu(pixel, area);
+            if moves_iu > MOTION_GATE_IU {
+                means.add("moving_object_epe_mm", distance);
+                means.add("moving_object_mm", millimetres(moves_iu));
+            }
         });
         for (name, other) in [
             ("robot_epe_unconditioned_mm", &bare),
             ("robot_epe_unanchored_mm", &free),
         ] {
             let moved = to_host(other.queries[index].displacement.clone())?;
-            distances(sample, query, &moved, |robot, distance| {
-                if robot {
+            distances(sample, query, &moved, |pixel, distance| {
+                if sample.robot[pixel] > 0.0 {
                     means.add(name, distance);
                 }
             });
@@ -181,7 +194,6 @@ fn score(network: &Stage1, sample: &Sample) -> Result<Scored> {
             to_host(rendered.alpha)?,
             to_host(rendered.depth)?,
         );
-        let area = sample.size[0] * sample.size[1];
         let split = alpha.chunks_exact(area).zip(depth.chunks_exact(area));
         let views = rgb.chunks_exact(3 * area).zip(split).map(|(rgb, (alpha, depth))| View {
             rgb: rgb.to_vec(),
@@ -211,8 +223,12 @@ fn score(network: &Stage1, sample: &Sample) -> Result<Scored> {
     })
 }
 
-/// Distances of displacements at robot (true) and object pixels, millimetres.
-fn distances(sample: &Sample, query: &Query, moved: &[f32], mut add: impl FnMut(bool, f64)) {
+fn millimetres(length_iu: f32) -> f64 {
+    f64::from(m_from_iu(length_iu)) * 1000.0
+}
+
+/// Distances of displacements at pixels of robot and objects, millimetres.
+fn distances(sample: &Sample, query: &Query, moved: &[f32], mut add: impl FnMut(usize, f64)) {
     let area = sample.size[0] * sample.size[1];
     for pixel in 0..sample.robot.len() {
         if sample.trackable[pixel] == 0.0 {
@@ -225,7 +241,7 @@ fn distances(sample: &Sample, query: &Query, moved: &[f32], mut add: impl FnMut(
                 (moved[index] - query.displacement_iu[index]).powi(2)
             })
             .sum();
-        add(sample.robot[pixel] > 0.0, f64::from(m_from_iu(square.sqrt())) * 1000.0);
+        add(pixel, millimetres(square.sqrt()));
     }
 }
 

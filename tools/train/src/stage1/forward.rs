@@ -34,7 +34,7 @@ pub struct Lifted {
 pub struct LiftedQuery {
     /// Raw base attributes, the same at all times. `[S, 12, H, W]`
     pub base_raw: Tensor<4>,
-    /// Displacement with the FK branch, internal units. `[S, 3, H, W]`
+    /// Displacement with the FK branch and that of what is held, internal units. `[S, 3, H, W]`
     pub displacement: Tensor<4>,
     /// Raw attributes at the query time after the gates. `[S, 12, H, W]`
     pub raw: Tensor<4>,
@@ -110,7 +110,7 @@ impl From<&SweptDepth> for SweepTerms {
 /// Which of the dense heads run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Heads {
-    /// All four, and the FK branch.
+    /// All four, the FK branch, and the gate of what is held.
     All,
     /// The depth head.
     Depth,
@@ -159,7 +159,7 @@ pub fn decode(network: &Stage1, sample: &Sample, encoded: &Encoded, conditioned:
     let position = rays * selected + from_host(origins, [views, 3, 1, 1], device);
 
     let queries = match heads {
-        Heads::All => decode_queries(network, sample, encoded, &depth, conditioned)?,
+        Heads::All => decode_queries(network, sample, encoded, (&depth, &position), conditioned)?,
         Heads::Depth => Vec::new(),
     };
     Ok(Lifted {
@@ -175,12 +175,13 @@ pub fn decode(network: &Stage1, sample: &Sample, encoded: &Encoded, conditioned:
     })
 }
 
-/// Runs the attribute and motion heads at all query times. `depth: [S, 1, H, W]`, as the head has it
+/// Runs the attribute and motion heads at all query times. `depth: [S, 1, H, W]`, as the head has it; `position:
+/// [S, 3, H, W]`, after anchoring
 fn decode_queries(
     network: &Stage1,
     sample: &Sample,
     encoded: &Encoded,
-    depth: &Tensor<4>,
+    (depth, position): (&Tensor<4>, &Tensor<4>),
     conditioned: bool,
 ) -> Result<Vec<LiftedQuery>> {
     let device = network.parameters.device();
@@ -194,12 +195,16 @@ fn decode_queries(
         base_raw = base_raw + shortcut;
     }
     let timed_shortcut = timed_head.shortcut(base_raw.clone().narrow(1, 0, 11));
+    let gate = network.held_gate()?.filter(|_| conditioned);
+    let holding = gate.zip(sample.queries.first()).map(|(gate, first)| {
+        let support = from_host(sample.support.clone(), [views, 1, height, width], device);
+        gate.look(&first.held, position.clone(), base_raw.clone(), support)
+    });
     let query = |query: &Query| {
         let time = Some(query.time);
-        let visual = motion_head
-            .forward(&motion_head.projections(time), encoded)
-            .narrow(1, 0, 3);
-        let displacement = match &branch {
+        let motion = motion_head.forward(&motion_head.projections(time), encoded);
+        let visual = motion.clone().narrow(1, 0, 3);
+        let mut displacement = match &branch {
             Some(branch) => {
                 let kappa = if conditioned {
                     conditioning(sample, query, depth)
@@ -210,6 +215,9 @@ fn decode_queries(
             }
             None => visual,
         };
+        if let Some(holding) = &holding {
+            displacement = displacement + holding.displacement(&query.held, motion.narrow(1, 3, 1));
+        }
         let mut timed = timed_head.forward(&timed_head.projections(time), encoded);
         if let Some(shortcut) = &timed_shortcut {
             timed = timed + shortcut.clone();

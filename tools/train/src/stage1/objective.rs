@@ -1,6 +1,7 @@
 //! The losses of Stage 1 (`docs/spec/stage1.md` section 14): those of the network's outputs here, those of renders beside.
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
+use rogs_field::gates::MOTION_GATE_IU;
 use rogs_random::Pcg64;
 use rogs_stage1::losses;
 use rogs_tensors::device;
@@ -13,7 +14,7 @@ use super::terms::{EPSILON, Losses, Objective, Sum};
 use crate::config::LossWeights;
 use crate::device_copies::DeviceCopies;
 use crate::error::Result;
-use crate::sample::Sample;
+use crate::sample::{Query, Sample};
 
 /// Most track pixels of a query.
 const TRACKS: usize = 1000;
@@ -43,6 +44,21 @@ fn track_pixels(sample: &Sample, random: &mut Pcg64) -> Vec<i32> {
         chosen.extend(pick(pixels(false), rest.min(TRACKS / 4)));
     }
     chosen
+}
+
+/// 1 at pixels beside the robot that move, or at those that are known to stand still within reach of the gripper. `[S, A]`
+fn beside_robot(sample: &Sample, query: &Query, moving: bool) -> Vec<f32> {
+    let area = sample.size[0] * sample.size[1];
+    let wanted = |pixel: usize| {
+        let robot = sample.robot[pixel] > 0.0 || sample.support[pixel] > 0.0;
+        let tracked = sample.trackable[pixel] > 0.0;
+        let moves = tracked && query.moved_iu(pixel, area) > MOTION_GATE_IU;
+        let stands = !moves && sample.near_tool[pixel] > 0.0 && (sample.still || tracked);
+        !robot && if moving { moves } else { stands }
+    };
+    (0..sample.robot.len())
+        .map(|pixel| f32::from(u8::from(wanted(pixel))))
+        .collect()
 }
 
 /// The objective of one clip; terms whose weight is 0 are not computed. Wherever the network ran, losses are computed on the
@@ -117,6 +133,15 @@ fn of_outputs(sample: &Sample, lifted: &Lifted, judged: Losses<'_>, random: &mut
             let target = reference.clone().select(0, indices);
             let loss = losses::motion(predicted.clone(), target.clone(), [predicted, target])?;
             sum.add("track_head", weights.track_head, share, loss)?;
+        }
+        if weights.held > 0.0 {
+            let error = (displacement.clone() - reference.clone()).abs();
+            let mean = |pixels: Vec<f32>| {
+                let pixels = from_host(pixels, [views * area, 1], &device);
+                (error.clone() * pixels.clone()).sum() / (pixels.sum() * 3.0 + EPSILON)
+            };
+            let [moving, still] = [true, false].map(|moving| mean(beside_robot(sample, query, moving)));
+            sum.add("held", weights.held, share, moving + still)?;
         }
         if weights.fk_head > 0.0 {
             let robot = from_host(sample.support.clone(), [views * area, 1], &device);

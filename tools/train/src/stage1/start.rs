@@ -2,7 +2,7 @@
 
 use burn::tensor::Device;
 
-use rogs_stage1::{Stage1, Stage1Config, layout, seeded};
+use rogs_stage1::{HeadKind, Stage1, Stage1Config, held, layout, seeded};
 use rogs_tensors::parameters::Parameters;
 
 use crate::config::{OptimiserSettings, Stage1Training};
@@ -43,6 +43,9 @@ pub fn start(settings: &Stage1Training, device: &Device) -> Result<Start> {
     }
     if settings.fresh_fk_branch || network.fk_branch()?.is_none() {
         fresh_fk_branch(&mut network, settings.seed)?;
+    }
+    if settings.held_gate && network.held_gate()?.is_none() {
+        fresh_held_gate(&mut network, settings.seed)?;
     }
     if settings.optimiser.lora_rank > 0 {
         add_low_rank_updates(&mut network, settings)?;
@@ -151,6 +154,50 @@ fn fresh_fk_branch(network: &mut Stage1, seed: u64) -> Result<()> {
     Ok(())
 }
 
+/// A gate of what is held that starts with what is nearest to the tool: 0.88 at its centre, 0.24 at 5 cm, 0.01 at 10 cm.
+/// The last channel of the motion head, which nothing has read before, starts at zero.
+fn fresh_held_gate(network: &mut Stage1, seed: u64) -> Result<()> {
+    const CENTRE: usize = 4;
+    const AT_TOOL: f32 = 8.0;
+    const ELSEWHERE: f32 = -6.0;
+    let config = network.config.clone();
+    for spec in layout::held() {
+        let mut values = seeded::values(&spec, &config, seed);
+        // The first unit of each layer passes the nearness on.
+        let passing = match spec.name.as_str() {
+            "held.conv1.weight" => Some((held::NEARNESS, 1.0)),
+            "held.conv2.weight" => Some((0, 1.0)),
+            "held.conv3.weight" => Some((0, AT_TOOL)),
+            "held.conv3.bias" => {
+                values.fill(ELSEWHERE);
+                None
+            }
+            _ => {
+                values[0] = 0.0;
+                None
+            }
+        };
+        if let Some((input, gain)) = passing {
+            values[..9 * spec.shape[1]].fill(0.0);
+            values[9 * input + CENTRE] = gain;
+        }
+        network.parameters.insert(&spec.name, &spec.shape, values)?;
+    }
+    for name in ["weight", "bias"] {
+        let name = format!("backbone.{}.scratch.output_conv2.2.{name}", HeadKind::Motion.name());
+        let shape = network
+            .parameters
+            .shape(&name)
+            .map(<[usize]>::to_vec)
+            .unwrap_or_default();
+        let mut values = network.parameters.host(&name)?;
+        let last = values.len() - values.len() / HeadKind::Motion.channels();
+        values[last..].fill(0.0);
+        network.parameters.insert(&name, &shape, values)?;
+    }
+    Ok(())
+}
+
 /// Adds A (seeded) and B (zero) of the QKV and output projections of all aggregator blocks.
 fn add_low_rank_updates(network: &mut Stage1, settings: &Stage1Training) -> Result<()> {
     let (config, rank) = (network.config.clone(), settings.optimiser.lora_rank);
@@ -182,7 +229,7 @@ pub fn rate_of(name: &str, settings: &OptimiserSettings) -> Option<f64> {
     if name.contains("mask_token") {
         return None; // not a part of any output
     }
-    if name.starts_with("fk_branch") {
+    if name.starts_with("fk_branch") || name.starts_with("held.") {
         Some(settings.fk_rate)
     } else if name.contains("splat_head") {
         Some(settings.head_rate)

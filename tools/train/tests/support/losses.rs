@@ -13,6 +13,7 @@ pub(crate) const NONE: LossWeights = LossWeights {
     sweep_depth: 0.0,
     track_head: 0.0,
     track_final: 0.0,
+    held: 0.0,
     fk_head: 0.0,
     fk_final: 0.0,
     metric_final: 0.0,
