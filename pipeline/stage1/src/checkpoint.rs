@@ -7,8 +7,7 @@ use burn::tensor::Device;
 use rogs_tensors::device::is_cpu;
 use rogs_tensors::parameters::{Parameters, resident};
 use rogs_weights::{
-    CONFIGURATION, KIND, PROCEDURAL, PROVENANCE, ParameterSource, TRAINED, TRAINING_DOMAIN, TensorFile, Verification,
-    verify,
+    CONFIGURATION, KIND, PROVENANCE, ParameterSource, TRAINED, TensorFile, TrainingDomain, Verification, verify,
 };
 
 use crate::{Result, Stage1, Stage1Config, layout};
@@ -40,8 +39,8 @@ pub struct LoadedStage1 {
     pub trained: bool,
     /// What the file says about its origin.
     pub provenance: String,
-    /// Whether the weights have seen nothing but procedural clips.
-    pub procedural_only: bool,
+    /// The narrow kind of clips that the weights were trained on, where the file names one.
+    pub domain: Option<TrainingDomain>,
 }
 
 /// Opens a Stage-1 checkpoint and checks every name and shape against its configuration.
@@ -77,7 +76,7 @@ pub fn read_stage1(file: TensorFile, device: &Device) -> Result<LoadedStage1> {
     config.validate()?;
     let report = verify_stage1(&file, &config);
     report.into_result(&path)?;
-    let procedural_only = metadata.get(TRAINING_DOMAIN).is_some_and(|value| value == PROCEDURAL);
+    let domain = TrainingDomain::of(metadata);
     let (trained, provenance) = (
         metadata.get(TRAINED).is_some_and(|value| value == "true"),
         metadata.get(PROVENANCE).cloned().unwrap_or_default(),
@@ -91,7 +90,7 @@ pub fn read_stage1(file: TensorFile, device: &Device) -> Result<LoadedStage1> {
         network: Stage1::new(config, parameters)?,
         trained,
         provenance,
-        procedural_only,
+        domain,
     })
 }
 

@@ -16,7 +16,7 @@ use rogs_stage1::{
 };
 use rogs_tensors::parameters::Parameters;
 use rogs_weights::ParameterSource;
-use rogs_weights::{ElementType, PROCEDURAL, TRAINING_DOMAIN, TensorFile, TensorSource, average, open_any, write};
+use rogs_weights::{ElementType, TRAINING_DOMAIN, TensorFile, TensorSource, TrainingDomain, average, open_any, write};
 use support::{close, host, tiny_config};
 
 fn source(name: &str, shape: &[usize], values: Vec<f32>) -> TensorSource<'static> {
@@ -255,7 +255,7 @@ fn merging_low_rank_updates_keeps_the_outputs() {
             .map(|spec| source(&spec.name, &spec.shape, noise(spec))),
     );
     let mut metadata = stage1_metadata(&config, true, "a test");
-    metadata.insert(TRAINING_DOMAIN.to_owned(), PROCEDURAL.to_owned());
+    metadata.insert(TRAINING_DOMAIN.to_owned(), TrainingDomain::Procedural.name().to_owned());
     write(&path, &metadata, ElementType::F32, tensors).unwrap();
     merge_lora(&path, &merged, ElementType::F32).unwrap();
     let mut told = TensorFile::open(&merged).unwrap().metadata().clone();

@@ -5,6 +5,8 @@
 //! ([`TensorFile`]), so that opening one costs nothing and a network can be run without holding all of it; it is written
 //! tensor by tensor ([`write()`]), so that it may be larger than memory. Which tensors a network has is not known here.
 
+use std::collections::BTreeMap;
+
 mod average;
 mod bundled;
 mod error;
@@ -39,8 +41,44 @@ pub const TRAINED: &str = "rogs.trained";
 pub const PROVENANCE: &str = "rogs.provenance";
 /// Metadata key: the kind of clips that the weights were trained on, where that is a narrow one.
 pub const TRAINING_DOMAIN: &str = "rogs.training_domain";
-/// Value of [`TRAINING_DOMAIN`] for weights that have seen nothing but clips of the procedural generator.
-pub const PROCEDURAL: &str = "procedural";
+
+/// A narrow kind of clips that weights were trained on, as [`TRAINING_DOMAIN`] says it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TrainingDomain {
+    /// Nothing but clips of the procedural generator.
+    Procedural,
+    /// These, and recorded rooms in which there is no robot.
+    ProceduralAndRooms,
+}
+
+impl TrainingDomain {
+    /// Its value in metadata.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Procedural => "procedural",
+            Self::ProceduralAndRooms => "procedural and rooms",
+        }
+    }
+
+    /// What metadata say; `None` where they name no narrow kind.
+    #[must_use]
+    pub fn of(metadata: &BTreeMap<String, String>) -> Option<Self> {
+        let named = metadata.get(TRAINING_DOMAIN)?;
+        [Self::Procedural, Self::ProceduralAndRooms]
+            .into_iter()
+            .find(|domain| domain.name() == named)
+    }
+}
+
+impl std::fmt::Display for TrainingDomain {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Procedural => "procedural clips",
+            Self::ProceduralAndRooms => "procedural clips and rooms without a robot",
+        })
+    }
+}
 
 /// Where the values of parameters come from when they are not held in memory.
 pub trait ParameterSource: Send + Sync {

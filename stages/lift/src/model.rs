@@ -7,7 +7,7 @@ use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::WeightsInfo;
 use rogs_stage1::{LoadedStage1, Stage1, Stage1Config, open_stage1, read_stage1, seeded};
 use rogs_tensors::device;
-use rogs_weights::{TensorFile, Unfiled};
+use rogs_weights::{TensorFile, TrainingDomain, Unfiled};
 use rogs_worker::{StageError, StageResult};
 
 use crate::bundled::{BUILTIN, BUILTIN_SIZE};
@@ -20,8 +20,8 @@ pub struct Model {
     pub network: Stage1,
     /// Where its weights come from.
     pub info: WeightsInfo,
-    /// Whether the weights have seen nothing but procedural clips.
-    pub procedural_only: bool,
+    /// The narrow kind of clips that the weights were trained on, where they name one.
+    pub domain: Option<TrainingDomain>,
     /// Height and width of the images that the weights are for, pixels, where that is known.
     pub made_for: Option<[u32; 2]>,
 }
@@ -41,13 +41,12 @@ impl Model {
     /// What a person should know when this clip is not of the kind that the weights were trained on.
     #[must_use]
     pub fn out_of_distribution(&self, clip: &Clip) -> Option<String> {
-        (self.procedural_only && !clip.is_procedural()).then(|| {
-            format!(
-                "OUT OF DISTRIBUTION: these weights have seen procedural clips only ({}), and `{}` is none; look at the \
-                 renders, and take no number for what the method can do",
-                self.info.description, clip.clip_id
-            )
-        })
+        let domain = self.domain.filter(|_| !clip.is_procedural())?;
+        Some(format!(
+            "OUT OF DISTRIBUTION: these weights have seen {domain} only ({}), and `{}` is none; look at the renders, and take \
+             no number for what the method can do",
+            self.info.description, clip.clip_id
+        ))
     }
 }
 
@@ -106,7 +105,7 @@ fn model_of(loaded: LoadedStage1, name: &str, hash: String) -> Model {
     Model {
         network: loaded.network,
         info,
-        procedural_only: loaded.procedural_only,
+        domain: loaded.domain,
         made_for,
     }
 }
@@ -123,7 +122,7 @@ fn generated(params: &LiftParams, device: &Device) -> StageResult<Model> {
     Ok(Model {
         network,
         info,
-        procedural_only: false,
+        domain: None,
         made_for: None,
     })
 }

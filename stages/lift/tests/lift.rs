@@ -65,7 +65,7 @@ fn moving_model() -> Model {
     Model {
         network,
         info: model.info,
-        procedural_only: false,
+        domain: None,
         made_for: None,
     }
 }

@@ -89,7 +89,7 @@ fn lifting_in_training_equals_the_lift_stage() {
     let model = Model {
         network,
         info,
-        procedural_only: false,
+        domain: None,
         made_for: None,
     };
     let lift_field = |params: &LiftParams| {

@@ -19,7 +19,7 @@ use rogs_stage1::{Stage1, Stage1Config, stage1_metadata};
 use rogs_tensors::device;
 use rogs_tensors::optimiser::{self, Gradients, Moments, Rule, schedule};
 use rogs_tensors::parameters::Parameters;
-use rogs_weights::{PROCEDURAL, TRAINING_DOMAIN};
+use rogs_weights::{TRAINING_DOMAIN, TrainingDomain};
 
 use crate::checkpoint::State;
 use crate::config::{Cadence, Stage1Training, check_precision};
@@ -45,8 +45,8 @@ pub struct Stage1Trainer {
     pub moments: Moments,
     /// Updates done.
     pub step: u64,
-    /// Whether the weights have seen nothing but procedural clips.
-    procedural_only: bool,
+    /// The narrow kind of clips that the weights had seen before the first update, if any.
+    domain: Option<TrainingDomain>,
     /// The network of `movies_lpips`.
     perceptual: Option<LpipsTensors>,
 }
@@ -69,7 +69,7 @@ impl Stage1Trainer {
         Ok(Self {
             settings,
             network: start.network,
-            procedural_only: start.procedural_only,
+            domain: start.domain,
             moments: Moments::default(),
             step: 0,
             perceptual,
@@ -192,8 +192,14 @@ impl Trainer for Stage1Trainer {
         let provenance =
             format!("trained by rogs-train on {clips}, {step} updates at {height} x {width}{more}, {start}{time}");
         let mut metadata = stage1_metadata(&self.network.config, step > 0, &provenance);
-        if self.procedural_only && !recorded {
-            metadata.insert(TRAINING_DOMAIN.to_owned(), PROCEDURAL.to_owned());
+        let domain = self.domain.filter(|_| settings.data.recorded.is_empty());
+        if let Some(domain) = domain {
+            let domain = if settings.data.frames.is_empty() {
+                domain
+            } else {
+                TrainingDomain::ProceduralAndRooms
+            };
+            metadata.insert(TRAINING_DOMAIN.to_owned(), domain.name().to_owned());
         }
         metadata
     }

@@ -4,6 +4,7 @@ use burn::tensor::Device;
 
 use rogs_stage1::{HeadKind, Stage1, Stage1Config, held, layout, seeded};
 use rogs_tensors::parameters::Parameters;
+use rogs_weights::TrainingDomain;
 
 use crate::config::{OptimiserSettings, Stage1Training};
 use crate::error::Result;
@@ -16,8 +17,8 @@ const START_LAYER_SCALE: f32 = 0.3;
 pub struct Start {
     /// Its weights are those of the checkpoint, or drawn from the seed.
     pub network: Stage1,
-    /// Whether these have seen nothing but procedural clips, if any.
-    pub procedural_only: bool,
+    /// The narrow kind of clips that its weights have seen, if any.
+    pub domain: Option<TrainingDomain>,
 }
 
 /// Makes the network that a run starts from.
@@ -26,12 +27,16 @@ pub struct Start {
 /// When the checkpoint to start from cannot be opened or is of another configuration.
 pub fn start(settings: &Stage1Training, device: &Device) -> Result<Start> {
     let config = Stage1Config::by_name(&settings.configuration)?;
-    let (mut network, procedural_only) = match &settings.start {
+    let (mut network, domain) = match &settings.start {
         Some(path) => {
             let loaded = rogs_stage1::open_stage1(path, device)?;
-            (loaded.network, loaded.procedural_only || !loaded.trained)
+            let untrained = (!loaded.trained).then_some(TrainingDomain::Procedural);
+            (loaded.network, loaded.domain.or(untrained))
         }
-        None => (from_seed(&config, settings.seed, device)?, true),
+        None => (
+            from_seed(&config, settings.seed, device)?,
+            Some(TrainingDomain::Procedural),
+        ),
     };
     extend(&mut network, &config, settings.seed)?;
     if network.config != config {
@@ -51,10 +56,7 @@ pub fn start(settings: &Stage1Training, device: &Device) -> Result<Start> {
         add_low_rank_updates(&mut network, settings)?;
     }
     bring_into_memory(&mut network.parameters, &settings.optimiser)?;
-    Ok(Start {
-        network,
-        procedural_only,
-    })
+    Ok(Start { network, domain })
 }
 
 /// Gives a network of a checkpoint the stem, the sweep and the comparison with other times of its configuration where it has
