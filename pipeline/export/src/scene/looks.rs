@@ -9,14 +9,18 @@ use super::write::Moment;
 /// Gaussians that are looked at together.
 const CHUNK: usize = 4096;
 
+/// What a Gaussian looks like where nothing else is said, and whether that is known yet.
+type Plain = (Attributes, bool);
+/// The attributes that a Gaussian has most of the time, and the voices for them.
+type Usual = (Attributes, u16);
+
 /// The attributes of all Gaussians at all times so far.
 pub(super) struct Looks {
-    /// What each looks like where nothing else is said, and whether that is known yet. `[N]`
-    plain: Vec<(Attributes, bool)>,
-    /// The attributes that each has most of the time, and the voices for them: the value that outlives a vote in which every
-    /// other one takes a voice away (Boyer and Moore), which is the one of more than half of the times where there is such.
     /// `[N]`
-    usual: Vec<(Attributes, u16)>,
+    plain: Vec<Plain>,
+    /// The value that outlives a vote in which every other one takes a voice away (Boyer and Moore), which is the one of
+    /// more than half of the times where there is such. `[N]`
+    usual: Vec<Usual>,
     /// By time, those that look different from `plain`, in ascending order.
     own: Vec<Vec<(u32, Attributes)>>,
 }
@@ -35,7 +39,7 @@ impl Looks {
         let gaussians = moment.gaussians;
         let is_first = self.own.is_empty();
         let chunks = self.plain.par_chunks_mut(CHUNK).zip(self.usual.par_chunks_mut(CHUNK));
-        let of_chunk = |(chunk, (plain, usual)): (usize, (&mut [(Attributes, bool)], &mut [(Attributes, u16)]))| {
+        let of_chunk = |(chunk, (plain, usual)): (usize, (&mut [Plain], &mut [Usual]))| {
             let mut others = Vec::new();
             for (local, ((plain, is_known), (usual, voices))) in plain.iter_mut().zip(usual).enumerate() {
                 let index = CHUNK * chunk + local;

@@ -68,7 +68,7 @@ impl<E: From<Error>, F: FnMut(usize) -> Result<Gaussians, E>> Moments for Every<
 
 impl SceneWriter<'_> {
     /// The bytes of the scene. `at` gives the Gaussians at a time of the head (index), row `n` the same Gaussian every time;
-    /// it is asked for each time in their order, for the first one twice, and never more than one time is held, besides what has changed.
+    /// it is asked for each time in their order, for the first one twice. One time is held, and what has changed.
     ///
     /// # Errors
     /// Those of `at`; when the number of Gaussians changes, or the parts of the head do not fit each other.
