@@ -173,6 +173,7 @@ mod tests {
             robot: vec![0.0; pixels],
             trackable: vec![0.0; pixels],
             still: true,
+            near_tool: vec![0.0; pixels],
             queries: Vec::new(),
         }
     }
