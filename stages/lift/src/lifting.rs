@@ -209,7 +209,7 @@ impl MotionHeads {
             if let Some((gate, robot)) = self.held.as_ref().zip(shown.filter(|robot| robot.held.is_some())) {
                 let holding =
                     self.holdings[index].get_or_init(|| look(gate, robot, anchor, index, encoded.size, &device));
-                total = total + holding.displacement(&[robot.held], raw.narrow(1, 3, 1));
+                total = total + holding.displacement(std::slice::from_ref(&robot.held), raw.narrow(1, 3, 1));
             }
             let mut displacement_iu = to_host(total)?;
             let links = &anchor.link[index * area..][..area];
@@ -313,7 +313,7 @@ fn look(
     };
     let support = robot.kappa[plane::SUPPORT * area..][..area].to_vec();
     gate.look(
-        &[robot.held],
+        std::slice::from_ref(&robot.held),
         planes(anchor.position_m, 3, iu_from_m),
         planes(anchor.base_raw, RAW_CHANNELS, |value| value),
         from_host(support, [1, 1, height, width], device),

@@ -2,9 +2,9 @@
 
 use rayon::prelude::*;
 use rogs_schemas::units::LengthUnit;
+use rogs_splat::Gaussians;
 
 use super::quantised::{ATTRIBUTES, Attributes, attributes};
-use super::write::Moment;
 
 /// Gaussians that are looked at together.
 const CHUNK: usize = 4096;
@@ -34,18 +34,17 @@ impl Looks {
         }
     }
 
-    /// Looks at the Gaussians of the next time.
-    pub(super) fn see(&mut self, moment: &Moment<'_>, unit: LengthUnit) {
-        let gaussians = moment.gaussians;
+    /// Looks at the Gaussians of the next time; `open` as in [`super::Moment`].
+    pub(super) fn see(&mut self, gaussians: &Gaussians, open: Option<&[u8]>, unit: LengthUnit) {
         let is_first = self.own.is_empty();
         let chunks = self.plain.par_chunks_mut(CHUNK).zip(self.usual.par_chunks_mut(CHUNK));
         let of_chunk = |(chunk, (plain, usual)): (usize, (&mut [Plain], &mut [Usual]))| {
             let mut others = Vec::new();
             for (local, ((plain, is_known), (usual, voices))) in plain.iter_mut().zip(usual).enumerate() {
                 let index = CHUNK * chunk + local;
-                let is_plain = moment.open.is_none_or(|open| open[index] == 0)
+                let is_plain = open.is_none_or(|open| open[index] == 0)
                     && gaussians.means[3 * index..][..3].iter().all(|part| part.is_finite());
-                let own = if is_plain && *is_known && moment.open.is_some() {
+                let own = if is_plain && *is_known && open.is_some() {
                     *plain
                 } else {
                     attributes(gaussians, unit, index)

@@ -106,7 +106,7 @@ impl SceneWriter<'_> {
                 (way.iter_mut().zip(&origin)).for_each(|(now, first)| *now = now.wrapping_sub(*first));
                 planes::pack(&way, 3)
             };
-            let (packed, ()) = rayon::join(way, || looks.see(&moment, self.unit));
+            let (packed, ()) = rayon::join(way, || looks.see(moment.gaussians, moment.open, self.unit));
             moved.push(packed);
         }
         let mut file = Sections::default();
