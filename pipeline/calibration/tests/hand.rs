@@ -68,10 +68,13 @@ fn a_hand_eye_three_degrees_off_is_found_along_its_path() {
             refined.after.edge_px
         );
         turned.push(degrees);
-        distances.push(refined.after.epipolar_px.unwrap());
+        // Of fewer matches the distance is that of the wrong ones.
+        if refined.matches >= 30 {
+            distances.extend(refined.after.epipolar_px);
+        }
     }
     turned.sort_by(f64::total_cmp);
-    distances.sort_by(f64::total_cmp);
-    assert!(turned[turned.len() / 2] < 0.6, "{turned:?}");
-    assert!(distances[distances.len() / 2] < 0.5, "{distances:?}");
+    assert!(turned[turned.len() / 2] < 0.3, "{turned:?}");
+    assert!(!distances.is_empty(), "no clip has 30 matches");
+    assert!(distances.iter().all(|&distance| distance < 0.5), "{distances:?}");
 }
