@@ -14,9 +14,11 @@ pub(crate) type Square = [[f64; UNKNOWNS]; UNKNOWNS];
 const TUKEY: f64 = 4.685;
 /// Neighbouring residuals come from the same pixels: so many count as one.
 const TOGETHER: f64 = 4.0;
-/// The share of matches that their scale is taken from, and its factor to the standard deviation of normal ones: on
-/// real clips more than half may be of things that move, or followed wrongly.
-const BELOW: (f64, f64) = (0.3, 2.5953);
+/// A share of residuals, and the standard deviation of normal ones over the size below which that share lies.
+type Quantile = (f64, f64);
+const MEDIAN: Quantile = (0.5, 1.4826);
+/// For matches: on real clips more than half of them may be of things that move, or followed wrongly.
+const LOWER: Quantile = (0.3, 2.5953);
 
 /// Kinds of residuals; each has its own scale.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,8 +65,7 @@ struct Scales {
 
 impl Scales {
     fn of(rows: &[Row], widest: f64) -> Self {
-        // Of normal residuals, `share` lie below 1 / `factor` standard deviations.
-        let scale = |kind: Kind, least: f64, (share, factor): (f64, f64)| {
+        let scale = |kind: Kind, least: f64, (share, factor): Quantile| {
             let mut sizes: Vec<(f64, f64)> = rows
                 .iter()
                 .filter(|row| row.kind == kind && row.weight > 0.0)
@@ -72,11 +73,10 @@ impl Scales {
                 .collect();
             (factor * weighted_quantile(&mut sizes, share)).clamp(least, widest.max(least))
         };
-        const MEDIAN: (f64, f64) = (0.5, 1.4826);
         Self {
             edge: scale(Kind::Edge, 0.3, MEDIAN),
             outline: scale(Kind::Outline, 0.03, MEDIAN),
-            epipolar: scale(Kind::Epipolar, 0.1, BELOW),
+            epipolar: scale(Kind::Epipolar, 0.1, LOWER),
         }
     }
 

@@ -1,6 +1,6 @@
 //! How the links of a robot move between two times (paper, FK displacement; `docs/spec/conditioning.md`).
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use rogs_schemas::records::conditioning::{ViewConditioning, plane};
 use rogs_schemas::records::robot::RobotMaps;
 use rogs_schemas::units::UNITS_PER_METRE;
@@ -99,9 +99,7 @@ fn stored(robot: &RobotMaps, frame: FrameIndex) -> Result<&[RigidPose]> {
 
 /// The pose at `share` of the way from one pose to another.
 fn interpolated(a: &RigidPose, b: &RigidPose, share: f64) -> Result<Pose<Base, Link>> {
-    let (a, b): (Pose<Base, Link>, Pose<Base, Link>) = (Pose::from_rigid(a)?, Pose::from_rigid(b)?);
-    let rotation = DMat3::from_quat(a.quaternion().slerp(b.quaternion(), share));
-    let pose = Pose::new(rotation, a.translation.lerp(b.translation, share));
+    let pose = Pose::from_rigid(a)?.towards(&Pose::from_rigid(b)?, share);
     pose.check_rigid()?;
     Ok(pose)
 }

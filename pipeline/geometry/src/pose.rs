@@ -161,6 +161,14 @@ impl<A: Frame, B: Frame> Pose<A, B> {
         ]
     }
 
+    /// The pose at `share` of the way to another one: 0 here, 1 there. The translation goes straight, the rotation about one
+    /// axis.
+    #[must_use]
+    pub fn towards(&self, other: &Self, share: f64) -> Self {
+        let rotation = DMat3::from_quat(self.quaternion().slerp(other.quaternion(), share));
+        Self::new(rotation, self.translation.lerp(other.translation, share))
+    }
+
     /// `b_from_a`. Exact for an exact rotation: the transpose is used.
     #[must_use]
     pub fn inverse(&self) -> Pose<B, A> {

@@ -31,7 +31,7 @@ impl Watched {
     /// Views that were rendered together: the index of each, its render and its observed image, 0 to 1. `[H, W, 3]`
     ///
     /// # Errors
-    /// When an image has another size, or there is no such view.
+    /// When an image is not of the size of the views, or a view is out of range.
     pub fn see(&mut self, views: &[(usize, &[f32], &[f32])]) -> Result<()> {
         let numbers = 3 * self.height * self.width;
         self.rows.clear();

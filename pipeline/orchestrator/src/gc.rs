@@ -102,7 +102,7 @@ impl Sweep<'_> {
             }
             let name = entry.file_name().to_string_lossy().into_owned();
             let relative = path.strip_prefix(self.run).unwrap_or(&path);
-            // What a killed job showed goes with what it would resume from.
+            // Figures and picture of a killed job: not needed without the state that it would resume from.
             let shown = [interim::FIGURES, interim::PICTURE].iter().any(|ending| {
                 let stem = name.strip_suffix(ending);
                 stem.is_some_and(|stem| stem.len() > 1 && stem.ends_with('.'))

@@ -169,7 +169,7 @@ impl Stage1Config {
             "compact-sweep" => Ok(Self::compact_sweep()),
             "compact-wide" => Ok(Self::compact_wide()),
             _ => Err(Error::BadConfiguration(format!(
-                "there is no configuration `{name}`; known are `full`, `compact`, `compact-sweep` and `compact-wide`"
+                "unknown configuration `{name}`: expected `full`, `compact`, `compact-sweep` or `compact-wide`"
             ))),
         }
     }

@@ -28,7 +28,7 @@ const NEAR_M: f64 = 0.05;
 const PLACE_M: f64 = 0.10;
 /// Places are clamped to this, in those units.
 const FARTHEST_PLACE: f64 = 3.0;
-/// Where there is no hand, everything is this far from it, internal units.
+/// Distance to the tool of every point of a view without a hand, internal units.
 const NOWHERE_IU: f32 = 1e4;
 
 /// An affine map of points of the reconstruction frame, internal units, row-major 3x4.

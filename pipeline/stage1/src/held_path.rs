@@ -1,7 +1,7 @@
 //! How something that the gripper holds moves, as far as kinematics and gripper states tell
 //! (`docs/spec/conditioning.md` section 9).
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use rogs_geometry::{Base, Error, Link, Pose, Recon, Result};
 use rogs_schemas::FrameIndex;
 use rogs_schemas::records::robot::RobotMaps;
@@ -77,7 +77,7 @@ impl HeldPath {
         let query = if before == after {
             *before
         } else {
-            between(before, after, position - position.floor())
+            before.towards(after, position - position.floor())
         };
         let source = self.recon_from_held.get(source.at())?;
         Some(if query == *source {
@@ -92,12 +92,6 @@ impl HeldPath {
     pub fn tool(&self, frame: FrameIndex) -> Option<DVec3> {
         self.tool.get(frame.at()).copied()
     }
-}
-
-/// The pose at `share` of the way from one pose to another, as of links between frames.
-fn between(a: &Pose<Recon, Link>, b: &Pose<Recon, Link>, share: f64) -> Pose<Recon, Link> {
-    let rotation = DMat3::from_quat(a.quaternion().slerp(b.quaternion(), share));
-    Pose::new(rotation, a.translation.lerp(b.translation, share))
 }
 
 /// The link that carries the tool centre: the one in whose frame it stays. Where it lies on the axis of a joint it stays in

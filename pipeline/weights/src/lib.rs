@@ -47,7 +47,7 @@ pub const TRAINING_DOMAIN: &str = "rogs.training_domain";
 pub enum TrainingDomain {
     /// Nothing but clips of the procedural generator.
     Procedural,
-    /// These, and recorded rooms in which there is no robot.
+    /// Procedural clips, and recorded rooms without a robot.
     ProceduralAndRooms,
 }
 
