@@ -102,6 +102,19 @@ pub fn add(sum: &mut Gradients, share: f64, mut gradients: Gradients) {
     sum.append(&mut gradients);
 }
 
+/// These gradients, all smaller by one factor where their norm is above `most`; as they are where it is not finite.
+#[must_use]
+pub fn clipped(mut gradients: Gradients, most: f64) -> Gradients {
+    let size = norm(&gradients);
+    if size > most && size.is_finite() {
+        let share = (most / size) as f32;
+        gradients
+            .par_iter_mut()
+            .for_each(|(_, values)| values.iter_mut().for_each(|value| *value *= share));
+    }
+    gradients
+}
+
 /// Moves the parameters by update `step` (counted from 0); returns the norm of the gradients before clipping. When that is
 /// not finite, nothing is moved.
 ///
@@ -199,5 +212,23 @@ impl Step {
                 }
             },
         );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::{Gradients, clipped, norm};
+
+    #[test]
+    fn gradients_are_clipped_together() {
+        let gradients: Gradients = [("a".to_owned(), vec![3.0, 0.0]), ("b".to_owned(), vec![4.0])].into();
+        assert_eq!(clipped(gradients.clone(), 5.0), gradients);
+        let half = clipped(gradients.clone(), 2.5);
+        assert!((norm(&half) - 2.5).abs() < 1e-6);
+        assert_eq!((half["a"][0], half["b"][0]), (1.5, 2.0));
+        let broken: Gradients = [("a".to_owned(), vec![f32::NAN])].into();
+        assert!(clipped(broken, 1.0)["a"][0].is_nan());
     }
 }

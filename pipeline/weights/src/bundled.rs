@@ -37,7 +37,7 @@ impl Bundled {
 /// The network of a stage to which no weights file is given: `[weights] lift` and `refine` of a manifest.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Unfiled {
-    /// The one inside the program, by the hash of its file: outputs of another one are not taken for its own.
+    /// What is inside the program, by the hash of its file or files: outputs of others are not taken for its own.
     Builtin(String),
     /// Random values from the stage's seed; they predict nothing.
     Seeded,
@@ -52,12 +52,11 @@ impl Unfiled {
     /// Reads a parameter: `builtin`, `builtin HASH`, `seeded` or null.
     ///
     /// # Errors
-    /// For another word, and for the hash of another bundled file than `bundled`.
-    pub fn read<'de, D: Deserializer<'de>>(deserializer: D, bundled: &Bundled) -> Result<Option<Self>, D::Error> {
+    /// For another word, and for another hash than that of what is inside this program.
+    pub fn read<'de, D: Deserializer<'de>>(deserializer: D, hash: &str) -> Result<Option<Self>, D::Error> {
         let Some(text) = Option::<Cow<'de, str>>::deserialize(deserializer)? else {
             return Ok(None);
         };
-        let hash = bundled.hash();
         match text.split_once(' ').unwrap_or((&text, hash)) {
             (SEEDED, _) if text == SEEDED => Ok(Some(Self::Seeded)),
             (BUILTIN, own) if own == hash => Ok(Some(Self::Builtin(own.to_owned()))),
@@ -109,7 +108,7 @@ mod tests {
     static ONE: Bundled = Bundled::new("one", b"1");
 
     fn read(value: &Value) -> Result<Option<Unfiled>, String> {
-        Unfiled::read(value, &ONE).map_err(|error| error.to_string())
+        Unfiled::read(value, ONE.hash()).map_err(|error| error.to_string())
     }
 
     #[test]

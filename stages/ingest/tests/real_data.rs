@@ -290,6 +290,39 @@ fn edit(path: PathBuf, change: impl FnOnce(&mut serde_json::Value)) {
 
 #[needs(shared, ffmpeg)]
 #[test]
+fn cameras_that_nobody_chose_need_no_calibration() {
+    let folder = copy("part-calibrated");
+    edit(folder.0.join("calibration_0007.json"), |value| {
+        value["cameras"].as_object_mut().unwrap().remove("ext1").unwrap();
+    });
+    let error = read_clip(&folder.0, None, &params("0007"), "c").unwrap_err();
+    assert!(
+        error.message.contains("the calibration has no camera `ext1`"),
+        "{error}"
+    );
+    assert!(error.hint.unwrap().contains("`cameras` under [ingest]"));
+    let chosen = |from: &[&str]| Params {
+        cameras: (from.iter())
+            .map(|&name| CameraChoice {
+                id: name.into(),
+                from: name.into(),
+                held_out: false,
+            })
+            .collect(),
+        ..params("0007")
+    };
+    let (clip, _) = read_clip(&folder.0, None, &chosen(&["wrist", "ext2"]), "c").unwrap();
+    let ids: Vec<&str> = clip.cameras.iter().map(|camera| camera.id.as_str()).collect();
+    assert_eq!(ids, ["wrist", "ext2"]);
+    let error = read_clip(&folder.0, None, &chosen(&["ext1"]), "c").unwrap_err();
+    assert!(
+        error.message.contains("the calibration has no camera `ext1`"),
+        "{error}"
+    );
+}
+
+#[needs(shared, ffmpeg)]
+#[test]
 fn damaged_videos_are_noticed() {
     let copy = copy("video");
     let path = copy.0.join("videos/0007/1.mp4");

@@ -19,10 +19,10 @@ mod source;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-pub use bundled::{BUILTIN, BUILTIN_SIZE, COMPACT_WEIGHTS};
+pub use bundled::{BUILTIN, BUILTIN_SCENES, BUILTIN_SIZE, COMPACT_WEIGHTS, builtin_of};
 use burn::tensor::{Device, Tensor};
 pub use lifting::MotionOptions;
-pub use model::{Model, load_model};
+pub use model::{Model, Models, load_builtin, load_model};
 pub use params::{CrossCamera, LiftParams, ProductPrecision, QueryState, RobotMotion, TokenSource};
 pub use query::FieldQuery;
 use rogs_r4c::Record;
@@ -42,10 +42,10 @@ pub use source::RobotAtTime;
 use crate::lifting::{Anchor, Base, Branch, MotionHeads, lift_base};
 use crate::source::Source;
 
-/// The stage: one loaded network, clip after clip.
+/// The stage: loaded networks, clip after clip.
 pub struct Lift {
     params: LiftParams,
-    model: Model,
+    models: Models,
     /// Weights of the latent adapter.
     adapter: Option<Parameters>,
 }
@@ -72,10 +72,11 @@ impl Stage for Lift {
     fn load(params: &LiftParams, inputs: &BTreeMap<String, PathBuf>) -> StageResult<Self> {
         params.validate()?;
         let weights = inputs.get("weights").map(PathBuf::as_path);
-        let mut model = load_model(params, weights)?;
-        let adapter = match inputs.get("adapter") {
+        let adapter = inputs.get("adapter");
+        let mut models = Models::load(params, weights, adapter.is_some())?;
+        let adapter = match adapter {
             Some(path) => {
-                let file = path.file_name().unwrap_or_default().to_string_lossy();
+                let (file, model) = (path.file_name().unwrap_or_default().to_string_lossy(), models.own_mut());
                 model.info.description = format!("{}; latent adapter {file}", model.info.description);
                 Some(latents::open_adapter(path, model.network.parameters.device())?)
             }
@@ -83,27 +84,28 @@ impl Stage for Lift {
         };
         Ok(Self {
             params: params.clone(),
-            model,
+            models,
             adapter,
         })
     }
 
     fn run(&mut self, context: &mut Context<'_>) -> StageResult<()> {
-        if !self.model.info.trained {
-            context.warn(format!(
-                "THE STAGE-1 WEIGHTS ARE NOT TRAINED ({}): depth, colour and motion of this field are not predictions",
-                self.model.info.description
-            ));
-        }
         let mut clip: Clip = context.read("clip")?;
         self.complete(&mut clip, context)?;
-        if let Some(warning) = self.model.out_of_distribution(&clip) {
-            context.warn(warning);
-        }
-        if let Some(warning) = self.model.other_size(&clip) {
-            context.warn(warning);
-        }
         let robot: RobotMaps = context.read("robot")?;
+        let model = self.models.of_clip(&self.params, &robot)?;
+        if !model.info.trained {
+            context.warn(format!(
+                "THE STAGE-1 WEIGHTS ARE NOT TRAINED ({}): depth, colour and motion of this field are not predictions",
+                model.info.description
+            ));
+        }
+        if let Some(warning) = model.out_of_distribution(&clip) {
+            context.warn(warning);
+        }
+        if let Some(warning) = model.other_size(&clip) {
+            context.warn(warning);
+        }
         let conditioning: Conditioning = context.read("conditioning")?;
         let latents = context.optional_input("latents").map(PathBuf::from);
         let inputs = ClipInputs {
@@ -111,7 +113,7 @@ impl Stage for Lift {
             adapter: self.adapter.as_ref(),
             ..ClipInputs::new(&clip, &robot, &conditioning)
         };
-        let field = lift_clip(&self.model, &self.params, inputs, context)?;
+        let field = lift_clip(model, &self.params, inputs, context)?;
         context.timed("write", |context| context.write(&field))
     }
 }

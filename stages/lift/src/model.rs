@@ -5,12 +5,13 @@ use std::path::Path;
 use burn::tensor::Device;
 use rogs_schemas::records::clip::Clip;
 use rogs_schemas::records::field::WeightsInfo;
+use rogs_schemas::records::robot::RobotMaps;
 use rogs_stage1::{LoadedStage1, Stage1, Stage1Config, open_stage1, read_stage1, seeded};
 use rogs_tensors::device;
-use rogs_weights::{TensorFile, TrainingDomain, Unfiled};
+use rogs_weights::{Bundled, TensorFile, TrainingDomain, Unfiled};
 use rogs_worker::{StageError, StageResult};
 
-use crate::bundled::{BUILTIN, BUILTIN_SIZE};
+use crate::bundled::{BUILTIN, BUILTIN_SCENES, BUILTIN_SIZE, sees_robot};
 use crate::params::LiftParams;
 use crate::stage_error;
 
@@ -50,8 +51,52 @@ impl Model {
     }
 }
 
-/// Loads the network of a weights file; without one the built-in network, or where `params.weights` asks for it one that is
-/// generated from the seed.
+/// The networks of a worker: one, or where nothing else is named those inside the program, of which each clip has the one
+/// that suits it.
+pub struct Models {
+    own: Model,
+    /// Whether clips in which no camera sees the robot have another network.
+    by_clip: bool,
+    /// That network, once there was such a clip.
+    scenes: Option<Model>,
+}
+
+impl Models {
+    /// Loads the network of [`load_model`]; an adapter of latents, which belongs to one network, rules out others.
+    ///
+    /// # Errors
+    /// As [`load_model`].
+    pub fn load(params: &LiftParams, weights: Option<&Path>, adapted: bool) -> StageResult<Self> {
+        Ok(Self {
+            own: load_model(params, weights)?,
+            by_clip: weights.is_none() && !adapted && params.chooses_by_clip(),
+            scenes: None,
+        })
+    }
+
+    /// The network that does not depend on the clip.
+    pub fn own_mut(&mut self) -> &mut Model {
+        &mut self.own
+    }
+
+    /// The network of a clip with these robot maps.
+    ///
+    /// # Errors
+    /// When the device cannot be opened.
+    pub fn of_clip(&mut self, params: &LiftParams, robot: &RobotMaps) -> StageResult<&Model> {
+        if !self.by_clip || sees_robot(robot) {
+            return Ok(&self.own);
+        }
+        let scenes = match self.scenes.take() {
+            Some(model) => model,
+            None => load_builtin(params, &BUILTIN_SCENES)?,
+        };
+        Ok(self.scenes.insert(scenes))
+    }
+}
+
+/// Loads the network of a weights file; without one the built-in network of `params.configuration`, by default that for clips
+/// of robots, or where `params.weights` asks for it one that is generated from the seed.
 ///
 /// # Errors
 /// When the file cannot be read or is not a Stage-1 checkpoint, or the configuration is not known or not the built-in one.
@@ -60,8 +105,19 @@ pub fn load_model(params: &LiftParams, weights: Option<&Path>) -> StageResult<Mo
     let mut model = match weights {
         Some(path) => read(path, &device)?,
         None if params.weights == Some(Unfiled::Seeded) => generated(params, &device)?,
-        None => builtin(params, &device)?,
+        None => builtin(named(params)?, &device)?,
     };
+    model.network.precision = params.precision.into();
+    Ok(model)
+}
+
+/// Loads a network that is inside the program.
+///
+/// # Errors
+/// When the device cannot be opened.
+pub fn load_builtin(params: &LiftParams, file: &'static Bundled) -> StageResult<Model> {
+    let device = device::open(params.device).map_err(stage_error)?;
+    let mut model = builtin(file, &device)?;
     model.network.precision = params.precision.into();
     Ok(model)
 }
@@ -75,21 +131,31 @@ fn read(path: &Path, device: &Device) -> StageResult<Model> {
     Ok(model_of(loaded, &file, hasher.finalize().to_hex().to_string()))
 }
 
-fn builtin(params: &LiftParams, device: &Device) -> StageResult<Model> {
-    let file = TensorFile::bundled(&BUILTIN).map_err(stage_error)?;
-    let loaded = read_stage1(file, device).map_err(stage_error)?;
-    let own = &loaded.network.config.name;
-    let asked = &params.configuration;
-    if *asked != LiftParams::default().configuration && asked != own {
-        let text = format!("`configuration = \"{asked}\"`: the built-in network is `{own}`");
-        return Err(StageError::bad_params(text).with_hint(
-            "name a weights file under [weights]: lift = \"FILE\"; or ask for random weights: lift = \"seeded\"",
-        ));
+/// The built-in file of the configuration that is asked for.
+fn named(params: &LiftParams) -> StageResult<&'static Bundled> {
+    match params.configuration.as_str() {
+        "compact-wide" => Ok(&BUILTIN_SCENES),
+        "compact-sweep" => Ok(&BUILTIN),
+        _ if params.configuration == LiftParams::default().configuration => Ok(&BUILTIN),
+        asked => {
+            let text = format!(
+                "`configuration = \"{asked}\"`: the built-in networks are `compact-sweep`, for robots, and `compact-wide`, \
+                 for scenes without any in view"
+            );
+            Err(StageError::bad_params(text).with_hint(
+                "name a weights file under [weights]: lift = \"FILE\"; or ask for random weights: lift = \"seeded\"",
+            ))
+        }
     }
+}
+
+fn builtin(bundled: &'static Bundled, device: &Device) -> StageResult<Model> {
+    let file = TensorFile::bundled(bundled).map_err(stage_error)?;
+    let loaded = read_stage1(file, device).map_err(stage_error)?;
     Ok(model_of(
         loaded,
-        &format!("built-in {}", BUILTIN.name),
-        BUILTIN.hash().to_owned(),
+        &format!("built-in {}", bundled.name),
+        bundled.hash().to_owned(),
     ))
 }
 

@@ -8,7 +8,7 @@ use rogs_worker::{StageError, StageResult};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::bundled::BUILTIN;
+use crate::bundled::builtin_hash;
 
 /// What determines a field besides its inputs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -47,13 +47,14 @@ pub struct LiftParams {
     pub tokens: TokenSource,
     /// Pixels per latent that the latents must have (8 or 16); null for what their file says.
     pub latent_stride: Option<u32>,
-    /// The network where no weights file is given: `builtin` (also null), or `seeded` for random values.
+    /// The network where no weights file is given: `builtin` (also null; one for clips of robots, another for clips in which no
+    /// camera sees the robot), or `seeded` for random values.
     #[serde(deserialize_with = "unfiled", skip_serializing_if = "Option::is_none")]
     pub weights: Option<Unfiled>,
 }
 
 fn unfiled<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<Unfiled>, D::Error> {
-    Unfiled::read(deserializer, &BUILTIN)
+    Unfiled::read(deserializer, builtin_hash())
 }
 
 /// Precision of large matrix products; sums and everything else are f32.
@@ -197,6 +198,11 @@ impl LiftParams {
             ));
         }
         Ok(())
+    }
+
+    /// Whether the built-in network is chosen for each clip: where neither weights nor a configuration are named.
+    pub(crate) fn chooses_by_clip(&self) -> bool {
+        self.weights != Some(Unfiled::Seeded) && self.configuration == Self::default().configuration
     }
 
     /// The motion gates.

@@ -41,7 +41,7 @@ pub struct RefineParams {
 }
 
 fn unfiled<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<Unfiled>, D::Error> {
-    Unfiled::read(deserializer, &BUILTIN)
+    Unfiled::read(deserializer, BUILTIN.hash())
 }
 
 impl Default for RefineParams {

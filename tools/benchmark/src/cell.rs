@@ -1,4 +1,4 @@
-//! A real robot cell: the robot without its mesh, the table, and times between those that the network saw.
+//! Real robot cells: the robot without its mesh, the table, and times between those that the network saw.
 
 use anyhow::Context as _;
 use glam::DVec3;

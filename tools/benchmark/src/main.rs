@@ -1,4 +1,4 @@
-//! `rogs-benchmark`: how good the built-in weights are on real rooms, in a real robot cell and on procedural clips.
+//! `rogs-benchmark`: how good the built-in weights are on real rooms, in real robot cells and on procedural clips.
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "the program's own file is the one place that prints")]
 
 mod cell;

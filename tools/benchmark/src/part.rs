@@ -12,13 +12,19 @@ use crate::{cell, procedural, rooms};
 pub(crate) const MANIFESTS: &str = "manifests/benchmark";
 /// Data of the rooms, from the checkout.
 const ROOMS: &str = "../shared/data/hololens_rooms";
+/// Data of the cells, from the checkout.
+const CELLS: [&str; 3] = [
+    "../shared/data/droid_ctrlworld",
+    "../shared/data/droid_ctrlworld/new_setup",
+    "../shared/data/droid_ctrlworld_more/new_setup",
+];
 
 /// A part of the benchmark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum Part {
     /// Real rooms with sensor depth: three views of one moment each.
     Rooms,
-    /// A real robot cell: the robot, the table, and times that the network did not see.
+    /// Real robot cells: the robot, the table, and times that the network did not see.
     Cell,
     /// 64 procedural clips at 154x84.
     #[value(name = "procedural-154x84")]
@@ -34,7 +40,7 @@ impl Part {
     pub(crate) fn title(self) -> &'static str {
         match self {
             Self::Rooms => "Real rooms",
-            Self::Cell => "A real robot cell",
+            Self::Cell => "Real robot cells",
             Self::Procedural154 => "Procedural clips at 154x84",
             Self::Procedural280 => "Procedural clips at 280x154",
         }
@@ -52,13 +58,13 @@ impl Part {
 
     /// What of others it needs and is not there.
     pub(crate) fn missing(self, checkout: &Path) -> Option<PathBuf> {
-        let data = match self {
-            Self::Rooms => ROOMS,
-            Self::Cell => "../shared/data/droid_ctrlworld/new_setup",
-            Self::Procedural154 | Self::Procedural280 => return None,
+        let data: &[&str] = match self {
+            Self::Rooms => &[ROOMS],
+            Self::Cell => &CELLS,
+            Self::Procedural154 | Self::Procedural280 => &[],
         };
-        let folder = checkout.join(data);
-        (!folder.is_dir()).then_some(folder)
+        let mut folders = data.iter().map(|data| checkout.join(data));
+        folders.find(|folder| !folder.is_dir())
     }
 
     /// Makes its episodes and runs its manifest; what is up to date is left.
@@ -87,7 +93,11 @@ impl Part {
         let mut command = Command::new(program);
         let manifest = checkout.join(MANIFESTS).join(self.name()).with_extension("toml");
         command.arg("run").arg(manifest);
-        run(command)
+        run(command)?;
+        // Scores of variants with other weights or parameters would be measured too.
+        let mut collect = Command::new(program);
+        collect.args(["gc", "--quiet"]).arg(runs.join(self.name()));
+        run(collect)
     }
 
     /// What its run scores.

@@ -135,8 +135,11 @@ pub struct OptimiserSettings {
     pub rate: f64,
     /// Peak rate of the attribute heads.
     pub head_rate: f64,
-    /// Peak rate of the FK branch and of the gate of what is held.
+    /// Peak rate of the FK branch.
     pub fk_rate: f64,
+    /// Peak rate of the gate of what is held; that of the FK branch without it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub held_rate: Option<f64>,
     /// Rank of low-rank updates of the attention layers; 0 trains all weights.
     pub lora_rank: usize,
     /// Whether encoder and aggregator weights are trained when there are no low-rank updates.
@@ -149,6 +152,9 @@ pub struct OptimiserSettings {
     pub weight_decay: f64,
     /// Largest norm of all gradients together.
     pub clip: f64,
+    /// Largest norm of the gradients of one clip, before those of an update are added up: no clip then outweighs the others.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub clip_each: Option<f64>,
 }
 
 /// Weights of the losses under the paper's keys.
@@ -187,6 +193,10 @@ pub struct LossWeights {
     pub metric_final: f64,
     /// The same at right eyes.
     pub metric_right: f64,
+    /// Absolute rendered depth error as a share of the depth, at source cameras and right eyes: what is far does not outweigh
+    /// what is near. Not in the paper.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub metric_share: f64,
     /// The same at source cameras over valid robot pixels, where the mesh anchors: the Gaussians are then at the right depth, and
     /// what is left to learn is what stands before them and what shines through. Not in the paper.
     pub metric_robot: f64,
@@ -248,12 +258,14 @@ impl Default for OptimiserSettings {
             rate: 4e-5,
             head_rate: 4e-4,
             fk_rate: 4e-4,
+            held_rate: None,
             lora_rank: 0,
             train_backbone: true,
             warmup: 150,
             betas: [0.9, 0.95],
             weight_decay: 0.05,
             clip: 1.0,
+            clip_each: None,
         }
     }
 }
@@ -275,6 +287,7 @@ impl Default for LossWeights {
             fk_final: 0.157_137,
             metric_final: 0.001_829_39,
             metric_right: 0.004_844_63,
+            metric_share: 0.0,
             metric_robot: 0.0,
             coverage: 0.058_967_8,
             coverage_right: 0.064_852_4,
@@ -317,10 +330,16 @@ impl LossWeights {
     }
 
     fn metric(&self) -> bool {
-        self.metric_final > 0.0 || self.metric_right > 0.0 || self.metric_robot > 0.0
+        let terms = [
+            self.metric_final,
+            self.metric_right,
+            self.metric_share,
+            self.metric_robot,
+        ];
+        terms.into_iter().any(|weight| weight > 0.0)
     }
 
-    fn all(&self) -> [f64; 17] {
+    fn all(&self) -> [f64; 18] {
         [
             self.movies_mse,
             self.movies_lpips,
@@ -336,6 +355,7 @@ impl LossWeights {
             self.fk_final,
             self.metric_final,
             self.metric_right,
+            self.metric_share,
             self.metric_robot,
             self.coverage,
             self.coverage_right,
@@ -381,9 +401,12 @@ impl Stage1Training {
             optimiser.rate,
             optimiser.head_rate,
             optimiser.fk_rate,
+            optimiser.held_rate.unwrap_or(0.0),
             optimiser.weight_decay,
         ];
-        if rates.iter().any(|rate| !(0.0..=1.0).contains(rate)) || optimiser.clip.is_nan() || optimiser.clip <= 0.0 {
+        let clips = [Some(optimiser.clip), optimiser.clip_each];
+        let out_of_range = |clip: f64| clip.is_nan() || clip <= 0.0;
+        if rates.iter().any(|rate| !(0.0..=1.0).contains(rate)) || clips.into_iter().flatten().any(out_of_range) {
             return wrong(
                 "optimiser",
                 format!("{rates:?}"),

@@ -30,6 +30,10 @@ pub struct RecordedSettings {
     /// Share of its clips, the last ones by name, that are scored and never trained on.
     #[serde(default = "tenth")]
     pub held_out: f64,
+    /// Takes the robot's mesh as reference depth of its pixels where a clip has no other: real clips with calibrated cameras
+    /// and joint states, but no depth.
+    #[serde(default)]
+    pub mesh_depth: bool,
 }
 
 /// Frames of a camera that moved through a room where nothing moves, with poses and a sensor's depth: `frames.json`, `images`

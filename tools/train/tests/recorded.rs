@@ -69,6 +69,7 @@ fn settings(run: PathBuf) -> DataSettings {
             run,
             share: 0.5,
             held_out: 0.5,
+            mesh_depth: false,
         }],
         ..data()
     }
@@ -191,6 +192,45 @@ fn what_cannot_be_trained_on_is_named_before_the_first_update() {
             .to_string()
             .starts_with("/nowhere/clips")
     );
+}
+
+/// Where a clip has no depth, the mesh of its robot is one, if that is asked for; a clip that has depth keeps it.
+#[test]
+fn the_mesh_is_depth_where_there_is_no_other() {
+    let without = |records: &mut Records| {
+        records.clip.tracks = None;
+        records.clip.cameras.iter_mut().for_each(|camera| camera.depth = None);
+    };
+    let asked = |folder: &Path, change: &dyn Fn(&mut Records)| {
+        let mut settings = settings(run(folder, change));
+        settings.recorded[0].mesh_depth = true;
+        settings
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let settings_of_mesh = asked(folder.path(), &without);
+    Recordings::open(&settings_of_mesh).unwrap().check(14).unwrap();
+    let (read, made) = (held_out(&settings_of_mesh), plan(4).sample(&data(), true).unwrap());
+    assert_eq!((&read.depth_iu, &read.valid), (&made.mesh_depth_iu, &made.support));
+    let targets = |sample: &Sample| -> Vec<_> {
+        let all = sample.queries.iter().flat_map(|query| query.targets.clone());
+        all.collect()
+    };
+    for target in targets(&read) {
+        assert_eq!(target.valid, target.support);
+        let known = target.valid.iter().zip(&target.depth_iu);
+        assert!(known.clone().all(|(&valid, &depth)| (valid > 0.0) == (depth > 0.0)));
+    }
+    assert!(targets(&read).iter().any(|target| target.valid.contains(&1.0)));
+    let folder = tempfile::tempdir().unwrap();
+    let with_depth = held_out(&asked(folder.path(), &|_| ()));
+    assert_eq!((&with_depth.depth_iu, &with_depth.valid), (&made.depth_iu, &made.valid));
+    let folder = tempfile::tempdir().unwrap();
+    let unseen = asked(folder.path(), &|records| {
+        without(records);
+        records.robot.maps.iter_mut().for_each(|map| map.support.fill(0));
+    });
+    let error = Recordings::open(&unseen).unwrap().check(14).unwrap_err().to_string();
+    assert!(error.contains("its robot is not in view"), "{error}");
 }
 
 /// Three frames of a room become a clip whose depth of one view is that of another.

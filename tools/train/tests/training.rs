@@ -343,6 +343,37 @@ fn the_rendered_robot_counts_where_it_is_anchored() {
     assert!(!terms(&clip.without_anchors()).contains_key("metric_robot"));
 }
 
+/// Depth errors as shares do not depend on how large the scene is; those in millimetres do.
+#[test]
+fn errors_as_shares_of_depth_know_no_scale() {
+    let settings = tiny(1);
+    let trainer = Stage1Trainer::new(settings.clone(), &Device::flex()).unwrap();
+    let weights = LossWeights {
+        metric_final: 1.0,
+        metric_share: 1.0,
+        ..NONE
+    };
+    let clip = sample(&settings, 4711);
+    let lifted = lift(&trainer.network, &clip, true, Heads::All).unwrap();
+    let terms = |factor: f32| {
+        let mut clip = clip.clone();
+        for target in clip.queries.iter_mut().flat_map(|query| &mut query.targets) {
+            target.depth_iu.iter_mut().for_each(|depth| *depth *= factor);
+        }
+        let losses = Losses {
+            weights: &weights,
+            perceptual: None,
+        };
+        objective(&clip, &lifted, losses, &mut Pcg64::from_seed(1))
+            .unwrap()
+            .terms
+    };
+    // Rendered depth is next to nothing beside references that are a thousand times too far: the share is 1.
+    let far = terms(1000.0);
+    assert!((far["metric_share"] - 1.0).abs() < 0.01, "{}", far["metric_share"]);
+    assert!(far["metric_final"] > 100.0 * terms(1.0)["metric_final"]);
+}
+
 /// With losses of the sweep alone nothing else runs or changes, and they are what they are in the whole network.
 #[test]
 fn a_sweep_is_trained_alone() {

@@ -215,8 +215,9 @@ fn weights() -> Finding {
         name: "weights",
         state: "ok",
         found: format!(
-            "built-in {} (images of {width}x{height}), {}",
+            "built-in {} (images of {width}x{height}), {} (no robot in view), {}",
             of(&rogs_lift::BUILTIN),
+            of(&rogs_lift::BUILTIN_SCENES),
             of(&rogs_refine::BUILTIN)
         ),
         hint: None,

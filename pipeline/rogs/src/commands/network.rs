@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail, ensure};
 use rogs_geometry::{Base, LinkPoses, Pose, Recon};
-use rogs_lift::{BUILTIN, FieldQuery, LiftParams, Model, MotionOptions, RobotAtTime, load_model};
+use rogs_lift::{FieldQuery, LiftParams, Model, MotionOptions, RobotAtTime, builtin_of, load_builtin, load_model};
 use rogs_r4c::read_record;
 use rogs_schemas::FileInfo;
 use rogs_schemas::records::clip::{Clip, SourceView};
@@ -74,14 +74,17 @@ impl Network {
         }
         let params: LiftParams = serde_json::from_str(&info.provenance.material.params)
             .context("the field was written by another version of `lift`; lift it again")?;
-        let builtin = field.weights.hash == BUILTIN.hash();
-        if field.weights.trained && beside.weights.is_none() && !builtin {
+        let builtin = builtin_of(&field.weights.hash).filter(|_| beside.weights.is_none());
+        if field.weights.trained && beside.weights.is_none() && builtin.is_none() {
             bail!(
                 "the field was lifted with `{}`; give that file with `--weights`",
                 field.weights.description
             );
         }
-        let model = load_model(&params, beside.weights.as_deref())?;
+        let model = match builtin {
+            Some(file) => load_builtin(&params, file)?,
+            None => load_model(&params, beside.weights.as_deref())?,
+        };
         ensure!(
             model.info.hash == field.weights.hash,
             "these are not the weights that the field was lifted with (`{}`)",

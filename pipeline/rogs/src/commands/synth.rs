@@ -234,7 +234,7 @@ fn manifest_text(folder: &Path, name: &str, [height, width]: [u32; 2]) -> anyhow
          [robot]\nurdf = \"{ROBOT_FOLDER}/{ROBOT_URDF_FILE}\"\n\n\
          [robot.spec]\n{}\n\
          [ingest]\nheight = {height}\nwidth = {width}\n\n\
-         # The built-in networks, trained on procedural clips only. A file of your own: lift = \"FILE\".\n\
+         # The built-in networks, trained on procedural clips like these. A file of your own: lift = \"FILE\".\n\
          [weights]\nlift = \"builtin\"\nrefine = \"builtin\"\n\n\
          [refine]\npreset = \"ci\"\nupdates = 4\n",
         toml::to_string(&spec)?

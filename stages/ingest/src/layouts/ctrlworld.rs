@@ -15,6 +15,7 @@ use crate::checks;
 use crate::fault::{inside, io_error, read_text, wrong};
 use crate::images::{FrameOrder, FrameSource};
 use crate::media::VideoInfo;
+use crate::params::Params;
 use crate::source::{Source, SourceCamera, States};
 use crate::video;
 
@@ -113,9 +114,9 @@ pub(crate) fn files(root: &Path, selector: &str) -> StageResult<(String, u32, Ve
     Ok((annotation.episode_id.text(), annotation.video_length, files))
 }
 
-/// Opens an episode.
-pub(crate) fn open(root: &Path, calibration: Option<Calibration>, selector: &str) -> StageResult<Source> {
-    let selector = resolve_selector(root, selector)?;
+/// Opens an episode. Cameras that the parameters do not choose need no calibration.
+pub(crate) fn open(root: &Path, calibration: Option<Calibration>, params: &Params) -> StageResult<Source> {
+    let selector = resolve_selector(root, &params.episode)?;
     let (path, annotation) = read_annotation(root, &format!("annotation/{selector}.json"))?;
     let calibration = match (calibration, calibration_beside(root, &selector)) {
         (Some(given), _) => given,
@@ -132,7 +133,11 @@ pub(crate) fn open(root: &Path, calibration: Option<Calibration>, selector: &str
     let frame_count = annotation.video_length;
     let (mut cameras, mut warnings) = (Vec::new(), Vec::new());
     let mut fps: Option<f64> = None;
+    let chosen = |id: &str| params.cameras.is_empty() || params.cameras.iter().any(|choice| choice.from == id);
     for (id, index) in CAMERAS {
+        if !chosen(id) && !has_camera(&calibration, (id, index)) {
+            continue;
+        }
         let (file, info) = open_video(root, &path, &annotation, &selector, (id, index), &mut warnings)?;
         if *fps.get_or_insert(info.fps) != info.fps {
             warnings.push(format!(
@@ -194,6 +199,15 @@ fn open_video(
     Ok((file, info))
 }
 
+/// Whether a calibration has an entry of a camera, under any of its names.
+fn has_camera(calibration: &Calibration, (id, index): (&str, usize)) -> bool {
+    let names = calibration_names(id, &index.to_string());
+    calibration
+        .cameras()
+        .iter()
+        .any(|known| names.iter().any(|name| name == known))
+}
+
 /// A source camera with its video; `path` is the annotation, for messages.
 fn camera(
     (id, index): (&str, usize),
@@ -207,7 +221,10 @@ fn camera(
     let missing = || {
         let known = calibration.cameras();
         let text = format!("the calibration has no camera `{id}`{}", suggestion(id, known));
-        wrong(path, text).with_hint("docs/calibration-format.md says what an entry looks like")
+        wrong(path, text).with_hint(
+            "`cameras` under [ingest] chooses those that are calibrated; docs/calibration-format.md says what an entry looks \
+             like",
+        )
     };
     let calibrated = calibration
         .camera(&names, (info.width, info.height))?

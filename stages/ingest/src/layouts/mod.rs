@@ -89,7 +89,7 @@ pub(crate) fn open(root: &Path, calibration: Option<&Path>, params: &Params) -> 
     };
     match layout {
         Layout::RogsEpisode => rogs_episode::open(root, file()?.as_ref(), &params.states),
-        Layout::DroidCtrlworld => ctrlworld::open(root, file()?, &params.episode),
+        Layout::DroidCtrlworld => ctrlworld::open(root, file()?, params),
         Layout::DroidRaw => droid::open(root, calibration, params),
         Layout::Lerobot => lerobot::open(root, file()?.as_ref(), params),
         Layout::Agibot => agibot::open(root, file()?.as_ref(), &params.states),

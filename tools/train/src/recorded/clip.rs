@@ -15,7 +15,7 @@ use rogs_splat::RasterCamera;
 use rogs_stage1::NetworkCamera;
 use rogs_stage1::held::{HeldMotion, HeldPath};
 
-use super::picture::{planar, reference_depth};
+use super::picture::{mesh_reference, planar, reference_depth};
 use super::tracks::Tracked;
 use super::unusable;
 use crate::config::DataSettings;
@@ -23,11 +23,16 @@ use crate::error::{Error, Result};
 use crate::sample::{NO_CAP_IU, Query, Sample, Target, near_tool};
 use crate::sources::RecordedSettings;
 
+/// Factors on all levels of a training clip, and on those of a colour.
+const EXPOSURE: [f64; 2] = [0.7, 1.25];
+const BALANCE: [f64; 2] = [0.9, 1.1];
+
 /// The clips of a run.
 #[derive(Debug, Clone)]
 pub(super) struct RecordedClips {
     training: Vec<PathBuf>,
     held_out: Vec<PathBuf>,
+    mesh_depth: bool,
 }
 
 /// A clip that was read.
@@ -35,6 +40,8 @@ struct Read {
     folder: PathBuf,
     clip: Clip,
     robot: RobotMaps,
+    /// Whether the mesh is reference depth where there is no other.
+    mesh_depth: bool,
 }
 
 impl RecordedClips {
@@ -63,15 +70,25 @@ impl RecordedClips {
         Ok(Self {
             training: found,
             held_out,
+            mesh_depth: settings.mesh_depth,
         })
     }
 
     /// Reads every clip and says what cannot be trained on.
     pub(super) fn check(&self, patch: usize) -> Result<()> {
         for folder in self.training.iter().chain(&self.held_out) {
-            Read::open(folder)?.check(patch)?;
+            self.open(folder)?.check(patch)?;
         }
         Ok(())
+    }
+
+    fn open(&self, folder: &Path) -> Result<Read> {
+        Ok(Read {
+            folder: folder.to_owned(),
+            clip: record(&folder.join("clip.r4c"))?,
+            robot: record(&folder.join("robot.r4c"))?,
+            mesh_depth: self.mesh_depth,
+        })
     }
 
     /// A clip with this many source times, or as many as it has.
@@ -83,23 +100,42 @@ impl RecordedClips {
         random: &mut Pcg64,
     ) -> Result<Sample> {
         let folder = &self.training[below(random, self.training.len())];
-        let read = Read::open(folder)?;
+        let read = self.open(folder)?;
         let count = (times as usize).min(read.clip.source_frames.len());
         let sources = choose(&read.clip.source_frames, count, random);
         let frames: Vec<FrameIndex> = FrameIndex::first(read.clip.frame_count()).collect();
         let queries = choose(&frames, (data.queries as usize).min(frames.len()), random);
-        read.sample(sources, queries, with_targets)
+        let mut sample = read.sample(sources, queries, with_targets)?;
+        relight(&mut sample, random);
+        Ok(sample)
     }
 
     /// The held-out clips as they were cut.
     pub(super) fn held_out(&self, data: &DataSettings, most: u64) -> Result<Vec<Sample>> {
         let sample = |folder: &PathBuf| {
-            let read = Read::open(folder)?;
+            let read = self.open(folder)?;
             let (sources, queries) = (read.clip.source_frames.clone(), read.clip.query_frames.clone());
             let kept = (data.queries as usize).clamp(1, 3).min(queries.len());
             read.sample(sources, queries[..kept].to_vec(), true)
         };
         self.held_out.iter().take(most as usize).map(sample).collect()
+    }
+}
+
+/// Other exposure and white balance for a clip, the same in all its images and targets: recordings are few, and their light
+/// must not be what is learned.
+fn relight(sample: &mut Sample, random: &mut Pcg64) {
+    let mut between = |[low, high]: [f64; 2]| low + (high - low) * random.next_double();
+    let exposure = between(EXPOSURE);
+    let gains: [f32; 3] = std::array::from_fn(|_| (exposure * between(BALANCE)) as f32);
+    let area = sample.size[0] * sample.size[1];
+    let lit = |value: &mut f32, channel: usize| *value = (*value * gains[channel]).min(1.0);
+    for (index, plane) in sample.images.chunks_exact_mut(area).enumerate() {
+        plane.iter_mut().for_each(|value| lit(value, index % 3));
+    }
+    for target in sample.queries.iter_mut().flat_map(|query| &mut query.targets) {
+        let values = target.rgb.iter_mut().enumerate();
+        values.for_each(|(index, value)| lit(value, index % 3));
     }
 }
 
@@ -125,16 +161,6 @@ fn record<T: Record>(path: &Path) -> Result<T> {
 }
 
 impl Read {
-    fn open(folder: &Path) -> Result<Self> {
-        let clip: Clip = record(&folder.join("clip.r4c"))?;
-        let robot: RobotMaps = record(&folder.join("robot.r4c"))?;
-        Ok(Self {
-            folder: folder.to_owned(),
-            clip,
-            robot,
-        })
-    }
-
     /// A message about the clip.
     fn wrong(&self, what: impl Into<String>) -> Error {
         let path = self.folder.join("clip.r4c");
@@ -190,8 +216,17 @@ impl Read {
             }
             references += 1;
         }
+        let seen = |map: &RobotMap| map.support.iter().any(|&supported| supported != 0);
+        if self.mesh_depth && self.robot.maps.iter().any(seen) {
+            references += 1;
+        }
         if references == 0 {
-            return Err(self.wrong("it has neither reference depth nor tracks: nothing to learn geometry from"));
+            return Err(self.wrong(if self.mesh_depth {
+                "it has neither reference depth nor tracks, and its robot is not in view: nothing to learn geometry from"
+            } else {
+                "it has neither reference depth nor tracks: nothing to learn geometry from; `mesh_depth = true` takes the \
+                 robot's mesh where cameras are calibrated"
+            }));
         }
         Ok(())
     }
@@ -239,7 +274,7 @@ impl Read {
             let camera = posed(view.camera, view.frame)?;
             let image = (self.clip.observation(*view)).ok_or_else(|| self.wrong("an image is missing"))?;
             sample.images.extend(planar(image.rgb()));
-            let (depth, valid) = self.depth(view.camera, view.frame, area);
+            let (depth, valid) = self.depth((view.camera, view.frame), area);
             let tool_m = held.as_ref().and_then(|path| path.tool(view.frame));
             let near = near_tool(&NetworkCamera::new(&camera), &depth, sample.size, tool_m);
             sample.near_tool.extend(near);
@@ -275,20 +310,26 @@ impl Read {
     }
 
     /// Reference depth of a camera at a frame, and whether it counts; nothing where there is none.
-    fn depth(&self, camera: CameraIndex, frame: FrameIndex, area: usize) -> (Vec<f32>, Vec<f32>) {
+    fn depth(&self, (camera, frame): (CameraIndex, FrameIndex), area: usize) -> (Vec<f32>, Vec<f32>) {
         let depth = self.clip.cameras[camera.at()].depth.as_ref();
         let of_frame =
             depth.and_then(|depth| Some((depth.depth_m.get(frame.at() * area..)?.get(..area)?, depth.range_m)));
         match of_frame {
             Some((depth_m, range_m)) => reference_depth(depth_m, range_m),
-            None => (vec![0.0; area], vec![0.0; area]),
+            None => match self.map_at(camera, frame).filter(|_| self.mesh_depth) {
+                Some(map) => mesh_reference(map),
+                None => (vec![0.0; area], vec![0.0; area]),
+            },
         }
+    }
+
+    fn map_at(&self, camera: CameraIndex, frame: FrameIndex) -> Option<&RobotMap> {
+        (self.robot.maps.iter()).find(|map| map.camera == camera && map.frame == frame)
     }
 
     /// The map of a source view.
     fn map(&self, view: SourceView) -> Result<&RobotMap> {
-        let found = (self.robot.maps.iter()).find(|map| map.camera == view.camera && map.frame == view.frame);
-        found.ok_or_else(|| {
+        self.map_at(view.camera, view.frame).ok_or_else(|| {
             self.wrong(format!(
                 "robot.r4c has no map of camera {} at frame {}",
                 view.camera, view.frame
@@ -402,8 +443,8 @@ impl Read {
             let Some(image) = self.clip.target(camera, frame) else {
                 continue;
             };
-            let (depth_iu, valid) = self.depth(camera, frame, area);
-            let map = (self.robot.maps.iter()).find(|map| map.camera == camera && map.frame == frame);
+            let (depth_iu, valid) = self.depth((camera, frame), area);
+            let map = self.map_at(camera, frame);
             targets.push(Target {
                 right: own.role == CameraRole::Evaluation,
                 camera: RasterCamera::new(&posed(camera, frame)?, LengthUnit::Internal),

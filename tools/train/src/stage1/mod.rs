@@ -107,6 +107,10 @@ impl Stage1Trainer {
             drop(lifted);
             differentiated(&network, objective)?
         };
+        let gradients = match settings.optimiser.clip_each {
+            Some(most) => optimiser::clipped(gradients, most),
+            None => gradients,
+        };
         if !objective.value.is_finite() {
             let bad = objective.terms.iter().find(|(_, value)| !value.is_finite());
             let bad = bad.map_or("total", |(key, _)| key);

@@ -62,6 +62,22 @@ fn views(
         let distance = network.distance(planar(rendered.rgb), planar(seen)).mean();
         sum.add("movies_lpips", weights.movies_lpips, share, distance)?;
     }
+    if weights.metric_share > 0.0 {
+        let all = |values: fn(&Target) -> &Vec<f32>| {
+            let all = query.targets.iter().flat_map(|target| values(target).clone()).collect();
+            from_host(all, [query.targets.len(), height * width], &device)
+        };
+        let flat = |values: Tensor<3>| values.reshape([query.targets.len(), height * width]);
+        let hit = all(|target| &target.valid) * flat(rendered.alpha.clone()).greater_elem(0.0).float();
+        let reference = all(|target| &target.depth_iu);
+        let error = (flat(rendered.depth.clone()) - reference.clone()).abs() / (reference + EPSILON);
+        sum.add(
+            "metric_share",
+            weights.metric_share,
+            share,
+            mean_of_views(error * hit.clone(), hit),
+        )?;
+    }
     // Source cameras come first, their right eyes after them.
     let sources = query.targets.iter().filter(|target| !target.right).count();
     let robot = if sample.anchored { weights.metric_robot } else { 0.0 };

@@ -224,22 +224,26 @@ fn add_low_rank_updates(network: &mut Stage1, settings: &Stage1Training) -> Resu
     Ok(())
 }
 
-/// Peak learning rate of a parameter, `None` when it is not trained (`docs/spec/stage1.md` section 15).
+/// Peak learning rate of a parameter, `None` when it is not trained (`docs/spec/stage1.md` section 15): a rate of 0 is that, so
+/// that nothing is differentiated for it.
 #[must_use]
 pub fn rate_of(name: &str, settings: &OptimiserSettings) -> Option<f64> {
     let head = name.contains("_head.");
     if name.contains("mask_token") {
         return None; // not a part of any output
     }
-    if name.starts_with("fk_branch") || name.starts_with("held.") {
-        Some(settings.fk_rate)
+    let rate = if name.starts_with("held.") {
+        settings.held_rate.unwrap_or(settings.fk_rate)
+    } else if name.starts_with("fk_branch") {
+        settings.fk_rate
     } else if name.contains("splat_head") {
-        Some(settings.head_rate)
-    } else if head || name.contains(".lora_") {
-        Some(settings.rate)
+        settings.head_rate
+    } else if head || name.contains(".lora_") || (settings.lora_rank == 0 && settings.train_backbone) {
+        settings.rate
     } else {
-        (settings.lora_rank == 0 && settings.train_backbone).then_some(settings.rate)
-    }
+        0.0
+    };
+    (rate > 0.0).then_some(rate)
 }
 
 /// The same network with leaves of its own: trained parameters require gradients, the others do not. Values are shared.

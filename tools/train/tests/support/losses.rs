@@ -18,6 +18,7 @@ pub(crate) const NONE: LossWeights = LossWeights {
     fk_final: 0.0,
     metric_final: 0.0,
     metric_right: 0.0,
+    metric_share: 0.0,
     metric_robot: 0.0,
     coverage: 0.0,
     coverage_right: 0.0,
