@@ -293,7 +293,7 @@ fn edit(path: PathBuf, change: impl FnOnce(&mut serde_json::Value)) {
 fn cameras_that_nobody_chose_need_no_calibration() {
     let folder = copy("part-calibrated");
     edit(folder.0.join("calibration_0007.json"), |value| {
-        value["cameras"].as_object_mut().unwrap().remove("ext1").unwrap();
+        value["cameras"].as_object_mut().unwrap().remove("exterior_1").unwrap();
     });
     let error = read_clip(&folder.0, None, &params("0007"), "c").unwrap_err();
     assert!(

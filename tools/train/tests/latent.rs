@@ -177,7 +177,13 @@ fn the_published_settings_are_understood() {
         [1, 2].map(|phase| LatentTraining::read(&manifests.join(format!("latent-{phase}.toml"))).unwrap());
     assert_eq!(first.losses, LatentLosses::default());
     assert_eq!((second.steps, second.rate, second.losses.token), (300, 5e-5, 0.1));
-    for name in ["stage1", "stage1-continue"] {
+    for name in [
+        "stage1",
+        "stage1-continue",
+        "stage1-held",
+        "stage1-cells",
+        "stage1-wide-1",
+    ] {
         let settings = Stage1Training::read(&manifests.join(format!("{name}.toml"))).unwrap();
         assert!(settings.start.is_none_or(|file| file.exists()), "{name}");
     }
