@@ -182,6 +182,7 @@ fn the_published_settings_are_understood() {
         "stage1-continue",
         "stage1-held",
         "stage1-cells",
+        "stage1-scenes",
         "stage1-wide-1",
     ] {
         let settings = Stage1Training::read(&manifests.join(format!("{name}.toml"))).unwrap();
