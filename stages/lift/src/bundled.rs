@@ -22,7 +22,8 @@ pub static BUILTIN_SCENES: Bundled = Bundled::new(
 pub const BUILTIN_SIZE: [u32; 2] = [84, 154];
 
 /// Whether a source camera of a clip sees the robot, which is what [`BUILTIN`] finds its way by.
-pub(crate) fn sees_robot(robot: &RobotMaps) -> bool {
+#[must_use]
+pub fn sees_robot(robot: &RobotMaps) -> bool {
     let seen = |support: &[u8]| support.iter().any(|&supported| supported != 0);
     robot.maps.iter().any(|map| seen(&map.support))
 }

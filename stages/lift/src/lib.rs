@@ -19,7 +19,7 @@ mod source;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-pub use bundled::{BUILTIN, BUILTIN_SCENES, BUILTIN_SIZE, COMPACT_WEIGHTS, builtin_of};
+pub use bundled::{BUILTIN, BUILTIN_SCENES, BUILTIN_SIZE, COMPACT_WEIGHTS, builtin_of, sees_robot};
 use burn::tensor::{Device, Tensor};
 pub use lifting::MotionOptions;
 pub use model::{Model, Models, load_builtin, load_model};

@@ -90,7 +90,7 @@ fn notes(plan: &Plan) -> Vec<String> {
         return Vec::new();
     }
     let mut notes = vec![
-        "of robots, the built-in networks have seen procedural clips only: on real episodes they are out of distribution"
+        "the built-in networks for robots have seen procedural clips only: on real episodes they are out of distribution"
             .to_owned(),
     ];
     let [height, width] = BUILTIN_SIZE;

@@ -40,7 +40,7 @@ struct Read {
     folder: PathBuf,
     clip: Clip,
     robot: RobotMaps,
-    /// Whether the mesh is reference depth where there is no other.
+    /// Uses the robot's mesh as reference depth where a camera has none.
     mesh_depth: bool,
 }
 
@@ -216,8 +216,7 @@ impl Read {
             }
             references += 1;
         }
-        let seen = |map: &RobotMap| map.support.iter().any(|&supported| supported != 0);
-        if self.mesh_depth && self.robot.maps.iter().any(seen) {
+        if self.mesh_depth && rogs_lift::sees_robot(&self.robot) {
             references += 1;
         }
         if references == 0 {

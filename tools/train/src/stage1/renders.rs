@@ -62,11 +62,12 @@ fn views(
         let distance = network.distance(planar(rendered.rgb), planar(seen)).mean();
         sum.add("movies_lpips", weights.movies_lpips, share, distance)?;
     }
+    let of_targets = |targets: &[Target], values: fn(&Target) -> &Vec<f32>| {
+        let all = targets.iter().flat_map(|target| values(target).clone()).collect();
+        from_host(all, [targets.len(), height * width], &device)
+    };
     if weights.metric_share > 0.0 {
-        let all = |values: fn(&Target) -> &Vec<f32>| {
-            let all = query.targets.iter().flat_map(|target| values(target).clone()).collect();
-            from_host(all, [query.targets.len(), height * width], &device)
-        };
+        let all = |values: fn(&Target) -> &Vec<f32>| of_targets(&query.targets, values);
         let flat = |values: Tensor<3>| values.reshape([query.targets.len(), height * width]);
         let hit = all(|target| &target.valid) * flat(rendered.alpha.clone()).greater_elem(0.0).float();
         let reference = all(|target| &target.depth_iu);
@@ -102,10 +103,7 @@ fn views(
             let values = values.clone().narrow(0, first, targets.len());
             values.reshape([targets.len(), height * width])
         };
-        let map = |values: fn(&Target) -> &Vec<f32>| {
-            let all = targets.iter().flat_map(|target| values(target).clone()).collect();
-            from_host(all, [targets.len(), height * width], &device)
-        };
+        let map = |values: fn(&Target) -> &Vec<f32>| of_targets(targets, values);
         let (alpha, valid) = (of_side(&rendered.alpha), map(|target| &target.valid));
         let [everywhere, robot] = metrics;
         if everywhere.1 > 0.0 || robot.1 > 0.0 {

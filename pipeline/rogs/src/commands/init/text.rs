@@ -27,7 +27,7 @@ pub(super) fn manifest(found: &Found, path: &Path) -> String {
     let [height, width] = BUILTIN_SIZE;
     let _ = write!(
         text,
-        "\n# Of robots, the built-in networks have seen procedural clips only. A checkpoint of your own: lift = \"FILE\".\n\
+        "\n# The built-in networks for robots have seen procedural clips only. A checkpoint of your own: lift = \"FILE\".\n\
          [weights]\nlift = \"builtin\"\nrefine = \"builtin\"\n\n\
          # Images are brought to this size, for which the built-in networks are made.\n\
          [ingest]\nheight = {height}\nwidth = {width}\n"
